@@ -51,8 +51,7 @@ def reproduce(telemetry, output, without, **options) -> None:
     def report_page(written) -> None:
         """Say that the page is there while the posterior is still computed."""
         if not output.quiet:
-            seconds = written.summary["seconds"]
-            text = f"{written.report} is there after {seconds:.0f} s; the posterior of the samples follows"
+            text = f"{written.report} is there after {written.seconds:.0f} s; the posterior of the samples follows"
             click.echo(f"sunspin: {text}", err=True)
 
     written = reproduce_study(

@@ -55,11 +55,12 @@ PAPER_FIGURES = (
 
 
 class Written(NamedTuple):
-    """A study that was written: its folder, its page `report.html`, and the content of its summary."""
+    """A study that was written: its folder, its page `report.html`, the content of its summary, and the time until then in s."""
 
     folder: Path
     report: Path
     summary: dict[str, Any]
+    seconds: float
 
     @property
     def lines(self) -> list[str]:
@@ -68,7 +69,7 @@ class Written(NamedTuple):
         lines = [f"Changed for this run: {change}" for change in summary["changes"]]
         lines += [f"Data check: {summary['carries']}", *summary["headline"], *summary["score"]]
         lines += summary["missing"].values()
-        return [*lines, f"Report: {self.report} (in {summary['seconds']:.0f} s)"]
+        return [*lines, f"Report: {self.report} (in {self.seconds:.0f} s)"]
 
 
 def reproduce(
@@ -164,7 +165,8 @@ def reproduce(
         write_data(folder, replace(contents, data=unwritten))
         on_disk.update(unwritten)
         write_manifest(folder, summary, contents)
-        return Written(folder, write_report(folder), summary)
+        report = write_report(folder)
+        return Written(folder, report, summary, time.perf_counter() - began)
 
     # the posterior needs no result of the other steps, unless their candidates are its draws
     processes = worker_count(workers) if posterior and candidates != "posterior" else 1
