@@ -10,7 +10,7 @@ import xarray as xr
 from sunspin.estimate.verdict import Answers, PassRow, Speed
 from sunspin.estimate.verdict import passes_table as pass_variables
 from sunspin.output.figures import axis_labels, render
-from sunspin.output.folder import Contents, write_contents
+from sunspin.output.folder import Contents, write_data, write_manifest
 from sunspin.output.kinds.panels import health_lines
 from sunspin.output.kinds.passes import pass_numbers, passes_table, solution_numbers
 from sunspin.output.kinds.telemetry import signals_figure
@@ -43,7 +43,8 @@ def found():
 
 def test_passes_csv_has_a_row_for_each_solution_and_the_documented_columns(found, tmp_path):
     contents = Contents(tables=[passes_table(found)], synthetic=True)
-    write_contents(tmp_path, {}, contents)
+    write_data(tmp_path, contents)
+    write_manifest(tmp_path, {}, contents)
     text = (tmp_path / "passes.csv").read_text("utf-8")
     assert text.endswith("\n# synthetic telemetry\n")
     rows = pd.read_csv(tmp_path / "passes.csv", comment="#")

@@ -6,7 +6,7 @@ import pytest
 
 import sunspin as ss
 from sunspin.base.tables import read_table
-from sunspin.output.folder import Contents, table_text, write_contents
+from sunspin.output.folder import Contents, table_text, write_data, write_manifest
 from sunspin.output.kind import Table
 from sunspin.telemetry.decoders.skcube import Beacons, beacons_csv
 
@@ -23,7 +23,9 @@ def test_texts_in_a_table_hold_no_separator(tmp_path):
     names = ['panel "x", outer', "no mark", "panel #2,\nagain"]
     frame = pd.DataFrame({"name": names, "value": [1.5, -2.0, 3.25], "sure": [True, False, True]})
     table = Table("t", frame, comment="time_s from 2026-01-01; body axes, N: z to the Sun, local")
-    write_contents(tmp_path, {}, Contents(tables=[table], synthetic=True))
+    contents = Contents(tables=[table], synthetic=True)
+    write_data(tmp_path, contents)
+    write_manifest(tmp_path, {}, contents)
     cells, read = columns(tmp_path / "t.csv")
     assert cells["name"].tolist() == read["name"].tolist()
     assert read["name"].tolist() == ["panel 'x'; outer", "no mark", "panel No.2; again"]

@@ -276,9 +276,8 @@ def earlier_states(model: Model, obs: Observations, motions: Track) -> Earlier |
     ]
     if not clocks:
         return None
-    clock, start = clocks[
-        0
-    ]  # a model has one clock; `start`: the place of its latency among the unknowns
+    # a model has one clock; `start`: the place of its latency among the unknowns
+    clock, start = clocks[0]
     index = start if clock.sigma_s else None
     error_s = 0.0 if index is None else clock.sigma_s * motions.u[:, index]
     late_s = clock.late_s + error_s + np.zeros(len(motions))

@@ -665,14 +665,13 @@ def _squares(estimate: xr.Dataset, value: np.ndarray, name: str, vehicle: Vehicl
     known = np.asarray(np.isfinite(value).all(axis=1))
     inside = estimate["pass_of"].values[1:] == estimate["pass_of"].values[:-1]
     pairs = inside & known[1:] & known[:-1]
-    rate_variance = np.einsum("nii->ni", estimate["omega_cov_B"].values)  # variances of the rate
+    rate_variance = np.einsum("nii->ni", estimate["omega_cov_B"].values)
     if name == "gyro_B" and sensors.gyro is not None:
         gyro = sensors.gyro
         zero, scale = gyro.scale_rad_s * gyro.zero_sigma, gyro.scale_sigma / gyro.scale_rad_s
         sensor_variance = gyro.noise_rad_s**2 + zero**2 + (value * scale) ** 2
-        return ((value - estimate["omega_B"].values) ** 2 / (rate_variance + sensor_variance)).sum(
-            axis=1
-        )[known]
+        square = (value - estimate["omega_B"].values) ** 2 / (rate_variance + sensor_variance)
+        return square.sum(axis=1)[known]
     attitude = Rotation.from_quat(estimate["B_from_N"].values)
     interval_s = np.diff(estimate["time"].values)
     # variance of the rotation between two samples, rad^2

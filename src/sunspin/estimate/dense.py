@@ -13,8 +13,6 @@ import numpy as np
 from sunspin.estimate.carry import RATE, TURN, Step, angle_turned, step
 from sunspin.estimate.chain import earlier_states
 from sunspin.estimate.model import Model, Observations, States, Track
-from sunspin.estimate.terms.field import FieldChange
-from sunspin.estimate.terms.panels import Panels
 from sunspin.estimate.terms.term import Term
 from sunspin.estimate.verdict import in_sigma
 from sunspin.solve.rotations import rotate_attitude, rotation_between
@@ -146,11 +144,8 @@ def residuals_by_sensor(
     residuals: dict[str, np.ndarray] = {}
     earlier = earlier_states(model, obs, replace(track, u=u))
     for term, fitted, own in zip(obs.terms, model.obs.terms, model.term_slices, strict=False):
-        if isinstance(term, FieldChange) and isinstance(fitted, FieldChange):
-            # an alternative model may estimate a zero that the nominal one takes for exact
-            term = term.with_errors_of(fitted)
-        elif isinstance(term, Panels) and isinstance(fitted, Panels):
-            term = replace(term, tilt_sigma=fitted.tilt_sigma)
+        # an alternative model may estimate errors that the nominal one takes for none
+        term = term.with_errors_of(fitted)
         freedom = term.freedom()
         if not len(freedom) or not freedom.any():
             continue

@@ -199,12 +199,6 @@ class Contents:
     synthetic: bool = False
 
 
-def write_contents(folder: Path, summary: dict[str, Any], contents: Contents) -> None:
-    """Write all but the figures, as :func:`write_data` and :func:`write_manifest` do."""
-    write_data(folder, contents)
-    write_manifest(folder, summary, contents)
-
-
 def _datasets(contents: Contents) -> dict[str, Any]:
     """Return the NetCDF files of a folder by name, the samples among them."""
     samples = {} if contents.telemetry is None else {"telemetry": contents.telemetry}

@@ -114,13 +114,13 @@ class FieldChange(Term):
             zero_shares=ZERO_SHARES,
         )
 
-    def with_errors_of(self, other: Self) -> Self:
-        """Return the fields with the unknowns of zero and matrix that another model of the same sensor has."""
+    def with_errors_of(self, fitted: Self) -> Self:
+        """Return the fields with the unknowns of zero and matrix that they have in a fitted model."""
         return replace(
             self,
-            zero_B=other.zero_B,
-            matrix_sigma=other.matrix_sigma,
-            zero_shares=other.zero_shares,
+            zero_B=fitted.zero_B,
+            matrix_sigma=fitted.matrix_sigma,
+            zero_shares=fitted.zero_shares,
         )
 
     def with_own_zero(self) -> Self:

@@ -323,6 +323,10 @@ class Panels(Term):
             sigma_light_modelled=np.hypot(self.sigma_light_modelled, drift),
         )
 
+    def with_errors_of(self, fitted: Self) -> Self:
+        """Return the panels with the tilts that they have in a fitted model."""
+        return replace(self, tilt_sigma=fitted.tilt_sigma)
+
     def log_errors(self) -> float:
         """Return twice the sum over the samples of the mean log of the errors of their readings."""
         counted = np.isfinite(self.sigma)

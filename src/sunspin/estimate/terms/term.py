@@ -145,6 +145,13 @@ class Term:
         """Return the sum over the samples of the log of the errors of a direction, two numbers each; zero if no Sun is seen."""
         return 0.0
 
+    def with_errors_of(self, fitted: Any) -> Self:
+        """Return the term with the unknowns that it has in a fitted model: an alternative one may have more than the nominal one.
+
+        `fitted`: the same term there, at some of the samples.
+        """
+        return self
+
     def starts(self, sample: int) -> Starts:
         """Return what its readings at a sample and the next one say of where a search may start."""
         return Starts()
