@@ -100,11 +100,9 @@ def test_a_pass_that_does_not_fit_is_given_in_windows(controlled):
     assert "no free body" in str(found["why_not_decided"].values[0])
     assert found.attrs["verdict"].endswith(found.attrs["controlled"])
     doubted = result.assign_attrs(columns_doubt="CHECK THE COLUMNS")
-    again = rates_in_windows(made.vehicle, made.telemetry, doubted, max_rate_rad_s=0.15)
-    assert "controlled" not in again.attrs and "window_time" in again
     # a window has too few samples to contradict exchanged columns
-    assert found["window_decided"].any() and not again["window_decided"].any()
-    assert all(short_windows.DOUBTED in why for why in again["window_why"].values)
+    assert found["window_decided"].any()
+    assert rates_in_windows(made.vehicle, made.telemetry, doubted) is doubted
 
     (line,) = window_lines(found)
     assert "4 short windows" in line

@@ -245,7 +245,10 @@ def test_suggested_keys_read_a_sensor_as_suggested():
         old = sensor(table, base[table])
         for _, order, sign in signed_axes():
             told = to_write(table, old.keys_for_axes(order, sign)).removeprefix("set ")
-            keys = tomllib.loads(told.partition(" under ")[0].replace(" and ", "\n"))
+            lines = told.partition(" under ")[0].split(" and ")
+            # each is a line that can stand in the table as it is
+            assert all(line.partition(" = ")[0].isidentifier() for line in lines)
+            keys = tomllib.loads("\n".join(lines))
             new = sensor(table, base[table] | keys)
             np.testing.assert_allclose(values(new), values(old)[:, order] * sign, atol=1e-9)
             np.testing.assert_array_equal(new.zero_sigma, old.zero_sigma[order])

@@ -191,7 +191,8 @@ def rates(
         **settings,
         progress=progress,
     )
-    if not no_windows and not result["fits"].values.all():
+    doubted = "columns_doubt" in result.attrs  # then the file is to be changed first
+    if not (no_windows or doubted or result["fits"].values.all()):
         output.announce("no motion fits all passes; the rate is estimated in short windows")
         also_given = {key: settings[key] for key in ("source", "acceleration_noise", "effort")}
         result = rates_in_windows(

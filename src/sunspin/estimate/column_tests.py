@@ -109,7 +109,10 @@ class Better:
     cost: float = np.nan
 
     def words(self, clock: Callable[[float], str] = lambda t: f"{t:.0f} s") -> str:
-        """Return a sentence for the verdict; `clock`: function from a time of the telemetry (s) to its words."""
+        """Return a sentence for the verdict, with a line for each of several changes.
+
+        `clock`: function from a time of the telemetry (s) to its words.
+        """
         better = f"the data fit {'' if self.fits else 'better '}with"
         gain = f"(log evidence better by {self.gain:.0f})"
         if len(self.named) == 1:
@@ -122,12 +125,13 @@ class Better:
             f"({chr(97 + k)}) {_line(named)}" for k, named in enumerate(self.named[:MOST_NAMED])
         ]
         more = len(self.named) - len(shown)
-        others = f"; and {more} other changes" if more else ""
-        at = f" at {clock(self.at_s)}" if np.isfinite(self.at_s) else ""
-        return (
-            f"{better} each of {len(self.named)} changes, and this telemetry cannot tell which is right {gain}: {'; '.join(shown)}"
-            f"{others} (rates{at}): CHECK THE COLUMNS, find out which one is right before you change the file"
+        others = [f"and {more} other changes"] if more else []
+        at = f"; rates at {clock(self.at_s)}" if np.isfinite(self.at_s) else ""
+        first = (
+            f"{better} each of {len(self.named)} changes, and this telemetry cannot tell which is right {gain}: "
+            f"CHECK THE COLUMNS, find out which one is right before you change the file{at}:"
         )
+        return "\n".join([first, *shown, *others])
 
 
 def _line(named: Named) -> str:
@@ -514,9 +518,16 @@ def axes_matrix(order: Sequence[int], sign: Sequence[float]) -> np.ndarray:
 
 
 def to_write(table: str, keys: Mapping[str, Any]) -> str:
-    """Return what to do, in words: the keys of a table of the vehicle file that say how a sensor is read."""
-    lines = " and ".join(tomlkit.dumps(keys).splitlines())
-    return f"set {lines} under [{table}] of the vehicle file"
+    """Return what to do, in words: the keys of a table of the vehicle file that say how a sensor is read, each as one line."""
+    lines = []
+    for key, value in keys.items():
+        # a value with its sigma is a table, `{value = ..., sigma = ...}`, that stays in one line
+        table_of_value = tomlkit.inline_table()
+        if isinstance(value, Mapping):
+            table_of_value.update(value)
+        written = table_of_value if isinstance(value, Mapping) else value
+        lines.append(tomlkit.dumps({key: written}).strip())
+    return f"set {' and '.join(lines)} under [{table}] of the vehicle file"
 
 
 def changes_of_sensor(vehicle: Vehicle, name: str) -> list[ColumnChange]:

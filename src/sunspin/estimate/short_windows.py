@@ -17,7 +17,6 @@ import numpy as np
 import xarray as xr
 
 from sunspin.base.errors import InputError
-from sunspin.estimate.columns import join_reasons
 from sunspin.estimate.model import Body
 from sunspin.estimate.observe import take_samples, wheel_models
 from sunspin.estimate.rates import rates
@@ -39,9 +38,6 @@ MOST_FIT = 0.75
 SIGMAS = 4.0
 """Sigmas by which the sizes of the momentum in two windows differ, for the rate to change as no free body's does."""
 
-DOUBTED = "columns, signs or axes of the file are in doubt"
-"""Why no window is decided if the column tests of the whole file name other columns."""
-
 
 def rates_in_windows(
     vehicle: Vehicle,
@@ -57,7 +53,8 @@ def rates_in_windows(
     telemetry : Dataset
         That of which `result` was estimated.
     result : Dataset
-        Of :func:`sunspin.estimate.rates.rates`; it is returned as it is if all passes fit.
+        Of :func:`sunspin.estimate.rates.rates`; it is returned as it is if all passes fit, or if columns of the file are doubted:
+        each window may fit with wrong columns.
     options
         Of `rates`: source, max_rate_rad_s, environment, calibration, torques, effort and workers.
 
@@ -66,12 +63,13 @@ def rates_in_windows(
     Dataset
         Also has variables on `window`. `window_time` (s) is its middle sample, with `window_begin` and `window_end` (s),
         `window_pass` and `window_samples`. `window_omega_B` and `window_sigma_B` (rad/s) are those of the most probable solution
-        there. `window_decided` and `window_why` say whether it is decided, or why not; none is if columns of the file are doubted.
+        there. `window_decided` and `window_why` say whether it is decided, or why not.
         attrs["controlled"] has a line for each pass whose rate changes as no free body's does; `why_not_decided` of the pass and
         attrs["verdict"] say so too.
     """
     failed = np.flatnonzero(~result["fits"].values)
-    doubted = "columns_doubt" in result.attrs
+    if "columns_doubt" in result.attrs:
+        return result
     parts, sentences = [], {}
     share = [int((result["pass_of"].values == k).sum()) for k in failed]
     for k, count in zip(failed, share, strict=True):
@@ -85,17 +83,11 @@ def rates_in_windows(
             continue
         part["window_pass"] = "window", np.full(part.sizes["window"], result["pass_id"].values[k])
         parts.append(part)
-        # with exchanged columns no free body is left either
-        words = "" if doubted else _as_no_free_body(vehicle, telemetry, part)
-        if words:
+        if words := _as_no_free_body(vehicle, telemetry, part):
             sentences[k] = words
     if not parts:
         return result
     windows = xr.concat(parts, "window")
-    if doubted:  # each window may fit with wrong columns
-        reasons = [join_reasons(reason, DOUBTED) for reason in windows["window_why"].values]
-        windows["window_why"] = "window", reasons
-        windows["window_decided"] = "window", np.zeros(len(reasons), dtype=bool)
     why = [
         f"{text}; {sentences[k]}" if k in sentences else text
         for k, text in enumerate(result["why_not_decided"].values.astype(str))
