@@ -78,12 +78,3 @@ def lock_file(file: Any) -> None:
             raise BlockingIOError(*error.args) from None
     else:
         fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-
-
-def ensure_writable(folder: Path) -> bool:
-    """Create a folder that only this user can access, if it does not exist, and return whether files can be written to it."""
-    try:
-        folder.mkdir(parents=True, exist_ok=True, mode=0o700)
-    except OSError:
-        return False
-    return os.access(folder, os.W_OK)

@@ -40,11 +40,6 @@ class DirectionSet:
         # a clause without conditions is a single True
         return np.any([np.broadcast_to(each, on_side.shape[:-1]) for each in holds], axis=0)
 
-    @property
-    def kernel_data(self) -> np.ndarray:
-        """Components of the normals in one row, as compiled code reads them (float32)."""
-        return np.asarray(self.normals_B, dtype=np.float32).ravel()
-
 
 def sphere(n: int) -> np.ndarray:
     """Return n nearly evenly spread directions (n, 3), by the Fibonacci spiral."""
