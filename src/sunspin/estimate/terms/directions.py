@@ -44,11 +44,8 @@ class SunDirections(Term):
     name: ClassVar[str] = "sun"
     label: ClassVar[str] = "Sun"
     of_sun: ClassVar[bool] = True
-    per_sample: ClassVar[tuple[str, ...]] = (
-        "direction_B",
-        "covariance",
-        "other_B",
-        "other_covariance",
+    per_sample: ClassVar[tuple[str, ...]] = tuple(
+        "direction_B covariance other_B other_covariance".split()
     )
 
     direction_B: np.ndarray
@@ -59,12 +56,8 @@ class SunDirections(Term):
     @classmethod
     def of(cls, direction_B: np.ndarray, covariance: np.ndarray) -> Self:
         """Return directions without a second meaning."""
-        return cls(
-            direction_B,
-            covariance,
-            other_B=np.full_like(direction_B, np.nan),
-            other_covariance=np.full_like(covariance, np.nan),
-        )
+        no_other = np.full_like(direction_B, np.nan), np.full_like(covariance, np.nan)
+        return cls(direction_B, covariance, *no_other)
 
     @classmethod
     def read(cls, telemetry: xr.Dataset, source: str) -> tuple[Self, np.ndarray]:

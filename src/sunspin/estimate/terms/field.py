@@ -112,33 +112,21 @@ class FieldChange(Term):
         if part is not None and part.zero_sigma.any():
             # if the zero offset is uncertain, the axes are not calibrated either
             zero_B, matrix_sigma = (part.matrix * zero_sigmas(part.zero_sigma)).T, SOFT_IRON
-        return cls(
-            t_s,
-            without_outliers(values),
-            noise or np.inf,
-            zero_B=zero_B,
-            matrix_sigma=matrix_sigma,
-            drift_N=np.zeros((len(t_s), 0, 3)),
-        )
+        fields, no_drift = without_outliers(values), np.zeros((len(t_s), 0, 3))
+        sigma = noise or np.inf
+        return cls(t_s, fields, sigma, zero_B=zero_B, matrix_sigma=matrix_sigma, drift_N=no_drift)
 
     def with_any_zero(self) -> Self:
         """Return the fields of an uncalibrated sensor: its zero offset may have any of the sizes :data:`ZERO_SHARES`."""
         size = float(np.nanmedian(np.linalg.norm(self.field_B, axis=1)))
-        return replace(
-            self,
-            zero_B=LARGEST_ZERO * size * np.eye(3),
-            matrix_sigma=SOFT_IRON,
-            zero_shares=ZERO_SHARES,
-        )
+        zero_B = LARGEST_ZERO * size * np.eye(3)
+        return replace(self, zero_B=zero_B, matrix_sigma=SOFT_IRON, zero_shares=ZERO_SHARES)
 
     def with_errors_of(self, fitted: Self) -> Self:
         """Return the fields with the errors of zero and matrix that are unknowns in a fitted model."""
-        return replace(
-            self,
-            zero_B=fitted.zero_B,
-            matrix_sigma=fitted.matrix_sigma,
-            zero_shares=fitted.zero_shares,
-        )
+        zero_B, matrix_sigma = fitted.zero_B, fitted.matrix_sigma
+        shares = fitted.zero_shares
+        return replace(self, zero_B=zero_B, matrix_sigma=matrix_sigma, zero_shares=shares)
 
     def with_own_zero(self) -> Self:
         """Return the fields less the zero offset that their strengths determine, and with the covariance of that offset.
@@ -209,18 +197,17 @@ class FieldChange(Term):
         """Return the unknowns in their order: rate of change of the field, zero offset, elements of the error matrix by rows."""
         if not (self.present().any() and self.drift_N.shape[1]):
             return ()
-        sigmas = {
-            "field_drift": ("field s-1", np.linalg.norm(self.drift_N, axis=2).max(axis=0)),
-            "field_zero": ("field", np.linalg.norm(self.zero_B, axis=1)),
-            "field_matrix": ("1", [self.matrix_sigma] * (9 if self.matrix_sigma else 0)),
-        }
-        shares = {"field_zero": self.zero_shares}
+        drift, zero = np.linalg.norm(self.drift_N, axis=2), np.linalg.norm(self.zero_B, axis=1)
+        # kind, unit, sigmas of all unknowns of the kind, equally likely factors of these
+        kinds = (
+            ("field_drift", "field s-1", drift.max(axis=0), (1.0,)),
+            ("field_zero", "field", zero, self.zero_shares),
+            ("field_matrix", "1", [self.matrix_sigma] * (9 if self.matrix_sigma else 0), (1.0,)),
+        )
         return tuple(
-            Unknown(
-                f"{kind}_{i}", kind, unit, 0.0, float(sigma), i, shares=shares.get(kind, (1.0,))
-            )
-            for kind, (unit, of_kind) in sigmas.items()
-            for i, sigma in enumerate(of_kind)
+            Unknown(f"{kind}_{i}", kind, unit, 0.0, float(sigma), i, shares=shares)
+            for kind, unit, sigmas, shares in kinds
+            for i, sigma in enumerate(sigmas)
         )
 
     def residuals(self, states: States, u: np.ndarray) -> Iterator[Residual]:
@@ -275,17 +262,9 @@ class FieldChange(Term):
             variance = ((change @ zero_B.T) ** 2).sum() / square
             variance += self.matrix_sigma**2 * square / len(change)
             sigma = float(np.hypot(sigma, np.sqrt(variance)))
-        return [
-            replace(
-                self,
-                sigma=sigma,
-                turn_rate=FIELD_TURN,
-                zero_B=self.zero_B[:0],
-                zero_shares=(1.0,),
-                matrix_sigma=0.0,
-                drift_N=self.drift_N[:, :0],
-            )
-        ]
+        without_errors = replace(self, zero_B=zero_B[:0], zero_shares=(1.0,), matrix_sigma=0.0)
+        no_drift = self.drift_N[:, :0]
+        return [replace(without_errors, sigma=sigma, turn_rate=FIELD_TURN, drift_N=no_drift)]
 
     def loosened(self, drift_rad: np.ndarray, drift_rad_s: float) -> Self:
         """Return the fields with larger noise, for a motion whose attitude is off by `drift_rad` (n).
@@ -308,9 +287,8 @@ class KnownField(Term):
     name: ClassVar[str] = "field"
     label: ClassVar[str] = "magnetometer"
     about_sun: ClassVar[bool] = True
-    per_sample: ClassVar[tuple[str, ...]] = (
-        *("t_s", "read_B", "sigma_T"),
-        *("field_N", "own_B", "along_N"),
+    per_sample: ClassVar[tuple[str, ...]] = tuple(
+        "t_s read_B sigma_T field_N own_B along_N".split()
     )
 
     t_s: np.ndarray

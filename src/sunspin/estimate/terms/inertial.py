@@ -83,16 +83,17 @@ class GyroRates(Term):
             return ()
         # sigmas of the offset that are equally likely, as factors of the largest
         shares = (1.0,) if self.zero_stated else tuple(zero / GYRO_ZEROS[0] for zero in GYRO_ZEROS)
+        kind, doubted = "gyro_zero", not self.zero_stated
         zeros = [
             Unknown(
-                f"gyro_zero_{axis}",
-                "gyro_zero",
+                f"{kind}_{axis}",
+                kind,
                 "rad/s",
                 0.0,
                 float(sigma),
                 i,
                 shares=shares,
-                doubted=not self.zero_stated,
+                doubted=doubted,
             )
             for i, (axis, sigma) in enumerate(zip("xyz", self.zero_sigma, strict=True))
             if sigma

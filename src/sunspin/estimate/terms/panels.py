@@ -107,16 +107,8 @@ class Panels(Term):
     name: ClassVar[str] = "panels"
     label: ClassVar[str] = "Sun"
     of_sun: ClassVar[bool] = True
-    per_sample: ClassVar[tuple[str, ...]] = (
-        "power",
-        "sigma",
-        "sigma_light_noise",
-        "sigma_light_modelled",
-        "dark_sigma",
-        "scale",
-        "scale_sigma",
-        "sun_up",
-        "known_N",
+    per_sample: ClassVar[tuple[str, ...]] = tuple(
+        "power sigma sigma_light_noise sigma_light_modelled dark_sigma scale scale_sigma sun_up known_N".split()
     )
 
     power: np.ndarray
@@ -149,7 +141,8 @@ class Panels(Term):
         dark = np.hypot(quality["noise"].values, zeros)
         panels = cls(
             power=signals(assessment.telemetry),
-            sigma=quality["sigma_beside_gains"].values,  # until `of_pass` models the Earth's light
+            # with the Earth's light as noise, until `of_pass` models it; without the errors of the gains
+            sigma=quality["sigma_beside_gains"].values,
             response=vehicle.response_in(),
             gain=quality["gain"].values / vehicle.input_gains,
             gain_errors=gain_errors,
@@ -291,22 +284,12 @@ class Panels(Term):
         power, sigma, scale_sigma = self.power, self.sigma_light_noise, self.scale_sigma
         if self.earth is not None:
             power, sigma = with_pair_differences(
-                self.response.facing_B,
-                self.full_sun,
-                power,
-                self.sigma_light_modelled,
-                self.sigma_light_noise,
+                self.response.facing_B, self.full_sun, power, self.sigma_light_modelled, sigma
             )
             scale_sigma = np.hypot(scale_sigma, self.earth_share)
         sigma = np.hypot(sigma, np.nan_to_num(power) * gain_sigma)
-        for_search = replace(
-            self,
-            power=power,
-            sigma=sigma,
-            scale_sigma=scale_sigma,
-            gain_errors=self.gain_errors[:0],
-            earth=None,
-        )
+        without_unknowns = replace(self, gain_errors=self.gain_errors[:0], earth=None)
+        for_search = replace(without_unknowns, power=power, sigma=sigma, scale_sigma=scale_sigma)
         if self.blind_axis() is None:
             return [for_search]
         # The root of the sum of squares of panels on four sides is full Sun only if the Sun is in their plane. If the brightest
@@ -383,8 +366,9 @@ class Panels(Term):
         if not np.isfinite(self.sigma).any():
             return
         predicted, slopes = self._predicted(states, u)
-        # All that follows is in sigmas, with the prior of the factor as row p + 1: difference = factor * shape - target. Its square
-        # is least at factor = shape . target / shape . shape. No factor is negative.
+        # All that follows is in sigmas: difference = factor * shape - target. Row p + 1 is the prior of the factor, with 1 /
+        # scale_sigma as shape and target. The sum of squares is least at factor = shape . target / shape . shape. No factor is
+        # negative.
         inverse = np.where(np.isfinite(self.sigma), 1 / self.sigma, 0.0)
         size = inverse * self.scale[:, None]
         prior = np.broadcast_to((1 / self.scale_sigma)[:, None], (*predicted.shape[:2], 1))
