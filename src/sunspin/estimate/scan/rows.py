@@ -88,6 +88,7 @@ class Start:
         return rates if self.bodies is None else (*rates, *self.bodies.shape)
 
     def __len__(self) -> int:
+        """Return the number of states."""
         return int(np.prod(self.shape))
 
     def take(self, index: np.ndarray) -> batch.Rows:
@@ -132,6 +133,7 @@ class ScanRows:
 
     Attributes
     ----------
+    wheel_mode : "coast", "hold", "brake", or one for each wheel
     t_s : length of the run in s; for E the times (n) of the directions, s after the start
     measure : a name in `MEASURES`
     target : data to which motions are compared: for EMD the result of `target_segments`, for E the directions (n, 3), else None
@@ -153,6 +155,7 @@ class ScanRows:
     condition: DirectionSet | None = field(init=False)
 
     def __post_init__(self) -> None:
+        """Check the options, and set the default error and the condition of the mask."""
         if self.mask not in ("reconstructible", None):
             raise InputError('mask must be "reconstructible" or None', got=self.mask)
         batch.one_command(self.vehicle, self.wheel_mode)

@@ -216,6 +216,6 @@ def with_pair_differences(
 
 
 def _rotation_by_sine(across: np.ndarray) -> np.ndarray:
-    """Return the rotation matrix (3, 3) about a vector (3) whose length is the sine of the angle."""
+    """Return the matrix (3, 3) that rotates vectors about `across` (3), whose length is the sine of the angle."""
     size = np.linalg.norm(across)
     return rotate_attitude(np.eye(3), -across * np.arcsin(min(size, 1.0)) / max(size, 1e-300))

@@ -133,7 +133,7 @@ class FieldChange(Term):
 
         Only for a zero offset that the vehicle file states with a sigma. As the body rotates, the readings b stay on a sphere about
         the offset z, and its radius changes slowly. So |b|^2 - 2 b . z = |b - z|^2 - |z|^2 is a parabola in each window of time.
-        Least squares of the equations without these parabolas, which are linear in z, give z.
+        With the parabolas projected out these equations are linear in z, and least squares give z.
         """
         if not self.zero_B.any():
             return self

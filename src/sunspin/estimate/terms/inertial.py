@@ -85,17 +85,8 @@ class GyroRates(Term):
         shares = (1.0,) if self.zero_stated else tuple(zero / GYRO_ZEROS[0] for zero in GYRO_ZEROS)
         kind, doubted = "gyro_zero", not self.zero_stated
         zeros = [
-            Unknown(
-                f"{kind}_{axis}",
-                kind,
-                "rad/s",
-                0.0,
-                float(sigma),
-                i,
-                shares=shares,
-                doubted=doubted,
-            )
-            for i, (axis, sigma) in enumerate(zip("xyz", self.zero_sigma, strict=True))
+            Unknown(f"{kind}_{axis}", kind, "rad/s", 0.0, sigma, i, shares=shares, doubted=doubted)
+            for i, (axis, sigma) in enumerate(zip("xyz", self.zero_sigma.tolist(), strict=True))
             if sigma
         ]
         scale = Unknown("gyro_scale", "gyro_scale", "1", 0.0, self.scale_sigma)

@@ -269,7 +269,7 @@ class Panels(Term):
             (residual,) = self.residuals(States(trial_attitude, states.omega), trial_u)
             return residual.law(residual.value)[0].sum(axis=1)
 
-        attitude, u[:, earth_slice] = self.earth.first_guess(attitude, cost, about_sun)
+        attitude, u[:, earth_slice] = self.earth.first_guess(attitude, cost, about_sun=about_sun)
         return attitude, u
 
     def for_search(self) -> list[Self]:
@@ -383,11 +383,8 @@ class Panels(Term):
         slopes = np.concatenate([size[..., None] * slopes, unchanged], axis=-2) * factor[..., None]
         along = np.einsum("knp,knpi->kni", shape, slopes) / square
         slopes = slopes - shape[..., None] * along[..., None, :]
-        yield Residual(
-            factor * shape - target,
-            by_turn=slopes[..., :3],
-            by_u=slopes[..., 3:] if u.size else None,
-        )
+        by_u = slopes[..., 3:] if u.size else None
+        yield Residual(factor * shape - target, by_turn=slopes[..., :3], by_u=by_u)
 
     def _predicted(self, states: States, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the readings (K, n, p) at a factor and a scale of one, and their derivatives (K, n, p, 3 + m).

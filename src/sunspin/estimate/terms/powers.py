@@ -133,7 +133,7 @@ class PanelPowers(Term):
         """Return which samples (n) have an unknown factor. It is determined by the lit readings and uses one degree of freedom."""
         return np.logical_and(self.throttled, self.lit.any(axis=-1))
 
-    def places(self, kind: str) -> list[int]:
+    def indices(self, kind: str) -> list[int]:
         """Return the indices of the unknowns of a kind."""
         return [i for i, unknown in enumerate(self.own) if unknown.kind == kind]
 
@@ -153,8 +153,8 @@ class PanelPowers(Term):
 
     def log_noise(self, u: np.ndarray) -> np.ndarray:
         """Return the log (K) of the noise over the stated noise; zero if the noise is not unknown."""
-        places = self.places("noise")
-        return self.own[places[0]].sigma * u[:, places[0]] if places else np.zeros(len(u))
+        indices = self.indices("noise")
+        return self.own[indices[0]].sigma * u[:, indices[0]] if indices else np.zeros(len(u))
 
     # ---- for fits ----------------------------------------------------------------------------------------------------------
 
@@ -176,7 +176,7 @@ class PanelPowers(Term):
         # The time error t of a sample, in sigmas, is no unknown of the fit but always the best one for the motion. With b = d value
         # / dt and the weights w of the sample's readings, sum(w b value) + t = 0 at the best t. If motion or unknowns change the
         # values by dv, t changes by dt = -sum(w b dv) / (1 + sum(w b b)), and the values by dv + b dt. Second derivatives are
-        # neglected (Kaufman). Here `by_time` (K, n, p) is b, and `size` the denominator.
+        # neglected (Kaufman). Here `by_time` (K, n, p) is b, as the body turns by omega time_s t, and `size` is the denominator.
         by_time = self.time_s * np.sum(by_turn * states.omega[..., None, :], axis=-1)
         weighted = law(value)[1] * by_time
         size = 1.0 + np.sum(weighted * by_time, axis=-1)[..., None, None]
@@ -265,7 +265,7 @@ class PanelPowers(Term):
             least = np.minimum(cost, least)
         return best, curvature
 
-    def taken_by_times(self, states: States, u: np.ndarray) -> np.ndarray:
+    def freedom_of_times(self, states: States, u: np.ndarray) -> np.ndarray:
         """Return the degrees of freedom (K) that the time errors use: up to one for each sample."""
         # information of the readings relative to that of the prior
         information = self.time_s**2 * self.best_times(states, u)[1]
@@ -352,10 +352,10 @@ class PanelPowers(Term):
         It is computed by Newton steps in the log noise, whose lower limit is `least` in sigmas of its prior. `fitted_freedom` (K):
         degrees of freedom that the fit has used.
         """
-        places = self.places("noise")
-        if not places:
+        indices = self.indices("noise")
+        if not indices:
             return u
-        index, sigma, u = places[0], self.own[places[0]].sigma, u.copy()
+        index, sigma, u = indices[0], self.own[indices[0]].sigma, u.copy()
         used = fitted_freedom + self.has_factor.sum()
         for _ in range(NOISE_STEPS):
             # Without the prior, the best noise makes the weighted squares of lit readings equal to their degrees of freedom: the
@@ -364,6 +364,7 @@ class PanelPowers(Term):
             squares = np.sum(weight * value**2, axis=(1, 2))
             good = np.sum(weight, axis=(1, 2)) * np.exp(2 * self.log_noise(u))
             freedom = np.maximum(good - used, 0.0)
+            # Newton's step with the prior; the curvature has a lower limit, as the squares may be small
             slope = sigma * (freedom - squares) + u[:, index]
             curvature = 2 * sigma**2 * np.maximum(squares, 0.3 * freedom) + 1
             step = np.clip(slope / curvature, -1, 1)
@@ -373,7 +374,7 @@ class PanelPowers(Term):
     def noise_curvature(self, value: np.ndarray, u: np.ndarray) -> np.ndarray:
         """Return the second derivative (K) of the cost of differences (K, n, p) by one sigma of the log noise."""
         weight = np.where(self.lit, self.law(u)(value)[1], 0.0)
-        sigma = self.own[self.places("noise")[0]].sigma
+        sigma = self.own[self.indices("noise")[0]].sigma
         return 2 * sigma**2 * np.sum(weight * value**2, axis=(1, 2))
 
     def log_density(self, states: States, u: np.ndarray) -> np.ndarray:
@@ -466,7 +467,7 @@ class PanelPowers(Term):
         The added noise is the same for all inputs: the root mean square over the panels, and over directions of the Sun in front of
         them.
         """
-        tilts = self.places(TILT)
+        tilts = self.indices(TILT)
         if not tilts:
             return self
         assert self.turns is not None
