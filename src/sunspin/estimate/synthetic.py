@@ -42,16 +42,16 @@ EARTH_LIGHT = (0.02, 0.1)
 """Limits of the Earth's light in a random pass without an orbit, in parts of full Sun. In a low orbit it is up to a third over
 bright ground, and a few per cent over the sea."""
 
-MOMENTS = (0.7, 1.3)
+MOMENT_RANGE = (0.7, 1.3)
 """Range of the relative moments of inertia in a random pass if the vehicle file does not state the inertia."""
 
 WITHIN_DAYS = 1.0
 """A random pass in an orbit begins within this number of days after the epoch of the elements."""
 
-LIT, LEAST_SUNLIT = 0.5, 0.5
+LIT_FRACTION, LEAST_SUNLIT = 0.5, 0.5
 """Visible part of the Sun's disc above which a sample is in sunlight; smallest part of the samples of a random pass in sunlight."""
 
-TRIES = 1000
+MOST_TRIES = 1000
 """Largest number of random times that are tried to find a pass in sunlight."""
 
 DAY_S = 86400.0
@@ -200,7 +200,7 @@ def simulate_pass(
     axis, first_quaternion = rng.standard_normal(3), rng.standard_normal(4)
     body = vehicle
     if vehicle.inertia_kg_m2 is None:
-        body = replace(vehicle, inertia_kg_m2=np.diag(rng.uniform(*MOMENTS, 3)), wheels=())
+        body = replace(vehicle, inertia_kg_m2=np.diag(rng.uniform(*MOMENT_RANGE, 3)), wheels=())
     omega_B = speed_rad_s * axis / np.linalg.norm(axis)
     speeds = [wheel.speed_rad_s for wheel in body.wheels]
     # any direction of the Sun: only rates and relative attitudes of this motion are used
@@ -247,7 +247,7 @@ def _sunlit_orbit(
         days = last_jd - first_jd - t_s[-1] / DAY_S
     if days < 0:
         raise InputError("the table of positions is shorter than a pass", got=f"{t_s[-1]:.0f} s")
-    for _ in range(TRIES):
+    for _ in range(MOST_TRIES):
         epoch = utc_from_jd(first_jd + days * rng.uniform())
         try:
             orbit = in_orbit(sources, epoch, t_s)
@@ -256,7 +256,7 @@ def _sunlit_orbit(
             continue
         surroundings = orbit.at(t_s)
         assert surroundings.lit is not None
-        if (surroundings.lit > LIT).mean() >= LEAST_SUNLIT:
+        if (surroundings.lit > LIT_FRACTION).mean() >= LEAST_SUNLIT:
             return orbit, surroundings
     raise InputError(
         "no pass of this length is half in sunlight",

@@ -28,7 +28,7 @@ ALL_PAIRS, RANDOM_PAIRS = 60, 4096
 N_CANDIDATES, N_SEARCH_POINTS = 400, 800
 """Largest numbers of candidate lines and of points in the search. The refinement uses all points."""
 
-SEARCH_WORK = 6_000_000
+SEARCH_DISTANCES = 6_000_000
 """Number of point-line distances in the search, which sets the number of its starts: small clouds are cheap and need more
 starts."""
 
@@ -123,7 +123,8 @@ def _search(
     origin, direction = _candidates(cloud, rng)
     # distances (m, n) of n points from m candidates
     cost = distances(sample, origin, direction)
-    n_starts = int(np.clip(SEARCH_WORK // cost.size, MIN_STARTS, MAX_STARTS))
+    # as many starts as keep the number of distances in the search below a limit
+    n_starts = int(np.clip(SEARCH_DISTANCES // cost.size, MIN_STARTS, MAX_STARTS))
     starts = [_greedy(cost, n_lines)] + [
         rng.integers(len(cost), size=n_lines).tolist() for _ in range(n_starts - 1)
     ]
@@ -231,7 +232,7 @@ def _dataset(points: np.ndarray, origin: np.ndarray, direction: np.ndarray) -> x
     distance = distances(points, origin, direction)
     member = distance.argmin(axis=0)
     counts = np.bincount(member, minlength=len(origin))
-    # lines in order of decreasing count, numbered again
+    # lines in order of decreasing count; `rank` (n_lines): new number of each
     order = np.lexsort((*origin.T, -counts))
     rank = np.argsort(order)
     origin, direction, counts = origin[order], direction[order], counts[order]

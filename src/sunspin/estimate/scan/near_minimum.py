@@ -65,16 +65,9 @@ def with_near_minimum(
 ) -> xr.Dataset:
     """Return a scan with its near-minimum set, and with the lines of :func:`sunspin.fit_lines` through it, for `sunspin scan`.
 
-    The set is the variable `near_minimum (near_point, rate_axis)`, rad/s. Raises `InputError` if no motion is below the threshold.
-
-    Parameters
-    ----------
-    volume : DataArray over omega_x, omega_y, omega_z
-        As returned by `scan`: EMD or E.
-    factor, threshold : float
-        The set contains motions within `factor` times the smallest value, or below `threshold` if it is given.
-    n_lines, seed : int
-        Number of lines, and the seed of their fit. There are no lines if the set has fewer than two points for each.
+    The set is the variable `near_minimum (near_point, rate_axis)`, rad/s. It contains the motions whose value in `volume`, an EMD
+    or E as returned by `scan`, is within `factor` times the smallest value, or below `threshold` if that is given. `seed`: of the
+    fit of lines. There are no lines if the set has fewer than two points for each. Raises `InputError` if the set is empty.
     """
     points = near_minimum(volume, factor) if threshold is None else below(volume, threshold)
     if not len(points):

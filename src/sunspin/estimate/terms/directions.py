@@ -26,7 +26,7 @@ SECOND_MEANING = {"sun_sensor": ("sun_sensor_other_B", "sun_sensor_other_cov_B")
 RADIAL_SIGMA = 0.02
 """Sigma of the length of a unit vector, which makes its singular covariance invertible."""
 
-SHARP_RAD = 0.15
+SHARP_SIGMA_RAD = 0.15
 """A search may start from a direction if its rms sigma is below this."""
 
 UNREAD = "no Sun direction: bridged by the dynamics and other sensors"
@@ -98,7 +98,7 @@ class SunDirections(Term):
 
     def starts(self, sample: int) -> Starts:
         """Return the one or two directions that the reading of a sample may mean; none if its error is large."""
-        sharp = np.trace(self.covariance[sample]) < 3 * SHARP_RAD**2
+        sharp = np.trace(self.covariance[sample]) < 3 * SHARP_SIGMA_RAD**2
         if not (self.present()[sample] and sharp):
             return Starts()
         meanings = np.stack([self.direction_B[sample], self.other_B[sample]])

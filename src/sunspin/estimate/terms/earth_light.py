@@ -30,13 +30,13 @@ from sunspin.solve.rotations import cross_matrix, rotate_attitude
 from sunspin.vehicle.response.flat import PanelResponse
 from sunspin.vehicle.response.panels import opposite_panels
 
-LIGHT_TURN = 1.5e-3
+LIGHT_RATE = 1.5e-3
 """Rate (rad/s) at which the albedo vector changes: it rotates with the orbit, at 1.1e-3, its length follows the ground below."""
 
 LEAST_LIGHT = 1e-12
 """Lower limit of the length of the albedo vector, so that it has a direction."""
 
-AZIMUTHS = 8
+N_AZIMUTHS = 8
 """Number of rotations about the sum of Sun and Earth's light that are tried if only the known light shows this rotation."""
 
 CORNERS = np.array(list(product([-1.0, 1.0], repeat=3))) / np.sqrt(3)
@@ -70,11 +70,11 @@ class EarthLight:
         zeros = EARTH_ZERO * share * full
         # a component has the sigma of the whole vector over sqrt(3)
         if known_N is None:
-            return cls(drifting_vector(t_s, EARTH_WIDER * share / np.sqrt(3), LIGHT_TURN), zeros)
+            return cls(drifting_vector(t_s, EARTH_WIDER * share / np.sqrt(3), LIGHT_RATE), zeros)
         # one unknown for the reflectivity of the ground; six for clouds and coasts, in proportion to the light
         brightness = np.linalg.norm(known_N, axis=1)
         brightest = float(brightness.max())
-        clouds = drifting_vector(t_s, EARTH_KNOWN * max(brightest, share) / np.sqrt(3), LIGHT_TURN)
+        clouds = drifting_vector(t_s, EARTH_KNOWN * max(brightest, share) / np.sqrt(3), LIGHT_RATE)
         clouds = clouds * (brightness / max(brightest, 1e-300))[:, None, None]
         reflectivity = REFLECTIVITY_SIGMA / REFLECTIVITY * known_N
         return cls(np.concatenate([reflectivity[:, None], clouds], axis=1), zeros, known_N)
@@ -143,12 +143,8 @@ class EarthLight:
         """Return attitudes (K, n, 3, 3) and unknowns (K, b + p) from which a fit begins: the best of several guesses.
 
         A search does not know the Earth's light: what it takes for the Sun, the z axis of N in its attitudes `attitude`
-        (K, n, 3, 3), is the direction of the sum of Sun and Earth's light. The guesses correct this.
-
-        Parameters
-        ----------
-        cost : function of unknowns (K, b + p) and attitudes (K, n, 3, 3) that returns the cost (K) of each motion
-        about_sun : the rotation about the Sun direction is already known
+        (K, n, 3, 3), is the direction of the sum of Sun and Earth's light. The guesses correct this. `cost`: function of unknowns
+        and attitudes that returns the cost (K) of each motion. `about_sun`: the rotation about the Sun is already known.
         """
         count, m = len(attitude), self.light_N.shape[1] + len(self.zeros)
         best_u, least, best_attitude = np.zeros((count, m)), np.full(count, np.inf), attitude
@@ -170,7 +166,7 @@ class EarthLight:
             # The light is known in N, so the unknowns are zero. The rotation about the sum of both may be open: several are tried.
             total = SUN_N + self.known_N.mean(axis=0)
             to_sum = _rotation_by_sine(np.cross(total / np.linalg.norm(total), SUN_N))
-            for angle in 2 * np.pi / AZIMUTHS * np.arange(1 if about_sun else AZIMUTHS):
+            for angle in 2 * np.pi / N_AZIMUTHS * np.arange(1 if about_sun else N_AZIMUTHS):
                 yield rotate_attitude(to_sum, -angle * SUN_N), np.zeros(m)
             return
         sigma_component = np.linalg.norm(self.light_N[0, 0])

@@ -38,29 +38,29 @@ from sunspin.vehicle.sensors import VARIABLES, Magnetometer, zero_sigmas
 if TYPE_CHECKING:
     from sunspin.estimate.orbit.calibration import FieldCalibration
 
-FIELD_FACTOR = 5.0
+LARGEST_FIELD_FACTOR = 5.0
 """A field of more than this many times the median is a wrapped or broken reading: along an orbit it varies by a factor of 3."""
 
-WINDOW_S, FEWEST_IN_WINDOW, SAME_ERROR = 300.0, 8, 30
+PARABOLA_WINDOW_S, FEWEST_IN_WINDOW, READINGS_WITH_SAME_ERROR = 300.0, 8, 30
 """Time in which the squared strength of the field in a low orbit is a parabola; number of readings that such a window needs; and
 number of neighbouring readings with the same error by soft iron, which count as one."""
 
-ZERO_ROUNDS, ZERO_OUTLIER = 3, 6.0
+ZERO_ROUNDS, OUTLIER_IN_MEDIANS = 3, 6.0
 """Rounds of the fit of a magnetometer's zero offset; and residual, as a multiple of the median, beyond which the next round leaves
 a reading out."""
 
-SOFT_IRON = 0.05
+MATRIX_SIGMA = 0.05
 """One sigma of each element of the error matrix of an uncalibrated magnetometer: soft iron, and axes off by three degrees. With
 0.03 a pass of three revolutions was decided 8 sigma off."""
 
-LARGEST_ZERO, ZERO_SHARES = 0.3, (1.0, 0.3, 0.1)
+LARGEST_ZERO_SHARE, ZERO_SHARES = 0.3, (1.0, 0.3, 0.1)
 """Largest sigma of the zero offset of an uncalibrated magnetometer, as a part of the field; and its equally likely values as
 factors of that. Iron and currents of a small satellite make some thousand nT."""
 
-LEFT = 0.2
+UNEVEN_ROTATION_SHARE = 0.2
 """Part of the field's rotation that is not linear in time over a pass, and remains noise."""
 
-MOST_OFF = 0.2
+LARGEST_OWN_ERROR = 0.2
 """Upper limit of the error of a sensor's zero and matrix, as a part of the field, in a search by the directions of the field."""
 
 UNREAD_FIELD = "no field direction: bridged by the dynamics and other sensors"
@@ -111,7 +111,7 @@ class FieldChange(Term):
         zero_B, matrix_sigma = np.zeros((0, 3)), 0.0
         if part is not None and part.zero_sigma.any():
             # if the zero offset is uncertain, the axes are not calibrated either
-            zero_B, matrix_sigma = (part.matrix * zero_sigmas(part.zero_sigma)).T, SOFT_IRON
+            zero_B, matrix_sigma = (part.matrix * zero_sigmas(part.zero_sigma)).T, MATRIX_SIGMA
         fields, no_drift = without_outliers(values), np.zeros((len(t_s), 0, 3))
         sigma = noise or np.inf
         return cls(t_s, fields, sigma, zero_B=zero_B, matrix_sigma=matrix_sigma, drift_N=no_drift)
@@ -119,8 +119,8 @@ class FieldChange(Term):
     def with_any_zero(self) -> Self:
         """Return the fields of an uncalibrated sensor: its zero offset may have any of the sizes :data:`ZERO_SHARES`."""
         size = float(np.nanmedian(np.linalg.norm(self.field_B, axis=1)))
-        zero_B = LARGEST_ZERO * size * np.eye(3)
-        return replace(self, zero_B=zero_B, matrix_sigma=SOFT_IRON, zero_shares=ZERO_SHARES)
+        zero_B = LARGEST_ZERO_SHARE * size * np.eye(3)
+        return replace(self, zero_B=zero_B, matrix_sigma=MATRIX_SIGMA, zero_shares=ZERO_SHARES)
 
     def with_errors_of(self, fitted: Self) -> Self:
         """Return the fields with the errors of zero and matrix that are unknowns in a fitted model."""
@@ -137,7 +137,7 @@ class FieldChange(Term):
         """
         if not self.zero_B.any():
             return self
-        t_s, window = self.t_s, np.floor((self.t_s - self.t_s[0]) / WINDOW_S)
+        t_s, window = self.t_s, np.floor((self.t_s - self.t_s[0]) / PARABOLA_WINDOW_S)
         was_read = np.isfinite(self.field_B).all(axis=1)
         slopes, values = [], []
         for k in np.unique(window):
@@ -145,7 +145,7 @@ class FieldChange(Term):
             if len(inside) < FEWEST_IN_WINDOW:
                 continue
             # orthonormal columns (i, 3) that span the parabolas of the window with i readings
-            time = (t_s[inside] - t_s[inside].mean()) / WINDOW_S
+            time = (t_s[inside] - t_s[inside].mean()) / PARABOLA_WINDOW_S
             parabola = np.linalg.qr(np.vander(time, 3))[0]
             # equations (i, 4): factors 2 b of z, then the value |b|^2; both without their parabolas
             fields = self.field_B[inside]
@@ -163,12 +163,12 @@ class FieldChange(Term):
             size = np.nanmedian(np.linalg.norm(self.field_B - zero, axis=1))
             scatter = np.mean((value - slope @ zero)[keep] ** 2)
             # the noise changes |b|^2 by 2 |b| times itself; errors by soft iron are equal in neighbouring readings
-            variance = max(scatter, (2 * size * self.sigma) ** 2) * SAME_ERROR
+            variance = max(scatter, (2 * size * self.sigma) ** 2) * READINGS_WITH_SAME_ERROR
             precision = prior + slope[keep].T @ slope[keep] / variance
             zero = np.linalg.solve(precision, slope[keep].T @ value[keep] / variance)
             residual = np.abs(value - slope @ zero)
-            keep = residual < ZERO_OUTLIER * np.median(residual) + 1e-300
-        covariance = np.linalg.inv(precision) + (SOFT_IRON * size) ** 2 * np.eye(3)
+            keep = residual < OUTLIER_IN_MEDIANS * np.median(residual) + 1e-300
+        covariance = np.linalg.inv(precision) + (MATRIX_SIGMA * size) ** 2 * np.eye(3)
         return replace(self, field_B=self.field_B - zero, zero_B=np.linalg.cholesky(covariance).T)
 
     def of_pass(self, t_s: np.ndarray) -> Self:
@@ -177,7 +177,7 @@ class FieldChange(Term):
             return self
         sigma = FIELD_TURN * np.nanmedian(np.linalg.norm(self.field_B, axis=1)) / np.sqrt(3)
         drift_N = drifting_vector(t_s, sigma, FIELD_TURN)
-        return replace(self, drift_N=drift_N, turn_rate=LEFT * FIELD_TURN)
+        return replace(self, drift_N=drift_N, turn_rate=UNEVEN_ROTATION_SHARE * FIELD_TURN)
 
     def present(self) -> np.ndarray:
         """Return which samples (n) are compared with the previous one: both have a reading."""
@@ -386,7 +386,7 @@ class KnownField(Term):
         """Return the directions of the field in the body in place of the Sun's, for a search without the Sun."""
         size = np.linalg.norm(self.field_N, axis=1)
         own = np.sqrt((self.own_B**2).sum(axis=(1, 2)) / 3)
-        sigma = np.hypot(self.sigma_T, np.minimum(own, MOST_OFF * size)) / size
+        sigma = np.hypot(self.sigma_T, np.minimum(own, LARGEST_OWN_ERROR * size)) / size
         unit = self.read_B / np.linalg.norm(self.read_B, axis=1, keepdims=True)
         variance = np.where(self.present(), sigma**2, np.nan)
         return SunDirections.of(unit, variance[:, None, None] * np.eye(3))
@@ -442,10 +442,10 @@ def reads_directions(vehicle: Vehicle, telemetry: xr.Dataset) -> bool:
 
 
 def without_outliers(fields: np.ndarray) -> np.ndarray:
-    """Return fields (n, 3), with NaN for those far stronger than the median (`FIELD_FACTOR`)."""
+    """Return fields (n, 3), with NaN for those far stronger than the median (`LARGEST_FIELD_FACTOR`)."""
     size = np.linalg.norm(np.nan_to_num(fields), axis=1)
     median = np.median(size[size > 0]) if np.any(size > 0) else 0.0
-    return np.where((size <= FIELD_FACTOR * median)[:, None], fields, np.nan)
+    return np.where((size <= LARGEST_FIELD_FACTOR * median)[:, None], fields, np.nan)
 
 
 def _without_rotation(errors: np.ndarray, fields: np.ndarray) -> np.ndarray:

@@ -20,7 +20,7 @@ from sunspin.solve.rotations import cross_matrix
 KEYS = ("kind", "t_s", "value", "sigma")
 """Keys of a stated reading; a reading of the kind "field" also has `angle_rad`, the angle between the field and the Sun."""
 
-NUMBERS = {"rate": 1, "gyro": 3, "direction": 3, "field": 3}
+COMPONENTS = {"rate": 1, "gyro": 3, "direction": 3, "field": 3}
 """Kind of a reading -> number of components of its value. "rate": angular speed about any axis (rad/s), as the period of a radio
 signal or a light curve gives it. "gyro": body rate (rad/s, B). "direction": direction to the Sun (B). "field": a direction (B) at
 a known angle from the Sun, such as that of the magnetic field."""
@@ -31,7 +31,7 @@ LEAST_SINE = 1e-3
 
 @dataclass(frozen=True)
 class Given(Term):
-    """A reading of one `kind` (a key of `NUMBERS`) at one of n samples. Its `sigma` (n) is infinite at all other samples.
+    """A reading of one `kind` (a key of `COMPONENTS`) at one of n samples. Its `sigma` (n) is infinite at all other samples.
 
     `value` (n, r): the numbers read, zero at the other samples. For the kind "field" r is 1: the angle (rad) between the Sun and
     the unit vector `axis_B` (n, 3), the field in the body.
@@ -53,7 +53,7 @@ class Given(Term):
         `observation`: the reading as the user states it, with the keys `KEYS`.
         """
         kind, sigma = str(observation["kind"]), float(observation["sigma"])
-        numbers = NUMBERS[kind]
+        numbers = COMPONENTS[kind]
         value = np.atleast_1d(np.asarray(observation["value"], dtype=np.float64))
         valid = value.shape == (numbers,) and np.all(np.isfinite(value))
         if not (valid and np.isfinite(sigma) and sigma > 0):
@@ -113,9 +113,9 @@ def require_known(observations: Sequence[Mapping[str, Any]], start_s: float, end
     for observation in observations:
         kind = str(observation.get("kind"))
         keys = {*KEYS, "angle_rad"} if kind == "field" else set(KEYS)
-        if kind not in NUMBERS or keys != set(observation):
+        if kind not in COMPONENTS or keys != set(observation):
             raise InputError(
-                f"an observation has kind ({', '.join(NUMBERS)}), t_s, value and sigma, "
+                f"an observation has kind ({', '.join(COMPONENTS)}), t_s, value and sigma, "
                 "a field also angle_rad, the Sun's from it",
                 got=str(dict(observation)),
             )

@@ -20,7 +20,7 @@ from sunspin.solve.rotations import matrix_from_quaternion, rotation_between
 from sunspin.vehicle import Vehicle
 from sunspin.vehicle.sensors import VARIABLES, zero_sigmas
 
-WHOLE_TURNS = 20
+MOST_REVOLUTIONS = 20
 """Largest number of whole revolutions between two attitudes that is tried, in either sense. The largest rate allows fewer."""
 
 
@@ -262,7 +262,7 @@ class AttitudeChange(Term):
         dt = self.t_s[sample + 1] - self.t_s[sample]
         angle = rotation_between(pair[0], pair[1])
         size = max(float(np.linalg.norm(angle)), 1e-9)
-        revolutions = 2 * np.pi * np.arange(-WHOLE_TURNS, WHOLE_TURNS + 1)[:, None]
+        revolutions = 2 * np.pi * np.arange(-MOST_REVOLUTIONS, MOST_REVOLUTIONS + 1)[:, None]
         return Starts(rates=angle / dt * (1 + revolutions / size))
 
 

@@ -38,26 +38,26 @@ from sunspin.vehicle import Vehicle
 from sunspin.vehicle.response.flat import PanelResponse
 from sunspin.vehicle.response.planes import sphere
 
-AVERAGED = np.polynomial.legendre.leggauss(3)
+QUADRATURE = np.polynomial.legendre.leggauss(3)
 """Nodes in [-1, 1] and weights (sum 2) of the Gauss quadrature for the mean of a reading over time."""
 
-LEAST_LIT, DARK = 0.01, 0.03
+LEAST_SUN_FRACTION, SHADOW_ZERO_SHARE = 0.01, 0.03
 """Visible part of the Sun's disc below which a sample is in the shadow; and sigma of the zeros of converters, which panels read in
 the shadow in addition to their noise, as a share of full Sun."""
 
-UNKNOWN_SHARE = 0.09
+DEFAULT_EARTH_SHARE = 0.09
 """Earth's light on a panel that faces the Earth, as a share of full Sun, if an orbit gives its direction but the file has too few
 readings to determine its size. It corresponds to :data:`sunspin.telemetry.quality.ALBEDO_DEFAULT` on panels in the dark."""
 
-FLAT, LOOKS = 1e-6, 500
+TINY, N_SUN_DIRECTIONS = 1e-6, 500
 """Limit below which a singular value of the panel normals, or a relative change of a reading, counts as zero; and number of Sun
 directions for which that change is computed."""
 
-TILT, TILT_SHARES = 0.1, (1.0, 0.4, 0.16)
+TILT_SIGMA_RAD, TILT_SHARES = 0.1, (1.0, 0.4, 0.16)
 """Sigma (rad) of the angle between a panel and its stated direction in the alternative model of misaligned panels; and its equally
 likely values as factors of it: 5.7, 2.3 and 0.9 degrees."""
 
-BRIGHTEST, OTHER_SCALE = 0.95, 0.1
+FULL_SUN_QUANTILE, SCALE_TOLERANCE = 0.95, 0.1
 """Quantile of the brightness of the samples that should be full Sun if the Sun comes near the plane of the panels; and difference
 from full Sun from which another full scale is tried."""
 
@@ -77,9 +77,9 @@ class ReadingTimes(NamedTuple):
 
     def shifts(self) -> Iterator[tuple[float, np.ndarray]]:
         """Yield instants, s after the time of the row, each with its weights (p) in the readings, which add up to one."""
-        one_instant = np.zeros(1), 2 * np.ones(1)
+        instant = np.zeros(1), 2 * np.ones(1)
         for offset in np.unique(self.offset_s):
-            for node, weight in zip(*(AVERAGED if self.averaged_s else one_instant), strict=True):
+            for node, weight in zip(*(QUADRATURE if self.averaged_s else instant), strict=True):
                 shift = float(offset + node * self.averaged_s / 2)
                 yield shift, weight / 2 * (self.offset_s == offset)
 
@@ -137,7 +137,7 @@ class Panels(Term):
         # The errors of the gains are correlated. The rows of the transposed Cholesky factor of their covariance are independent.
         gain_errors = np.linalg.cholesky(quality["gain_cov"].values).T / vehicle.input_gains
         shown = quality["reading"].values & ~quality["dead"].values
-        zeros = DARK * quality.attrs["full_sun"] * quality["gain"].values
+        zeros = SHADOW_ZERO_SHARE * quality.attrs["full_sun"] * quality["gain"].values
         dark = np.hypot(quality["noise"].values, zeros)
         panels = cls(
             power=signals(assessment.telemetry),
@@ -174,14 +174,14 @@ class Panels(Term):
         placed = self
         if surroundings.albedo_light_N is not None:
             # a share of zero: the file does not determine how much light there is
-            share = self.earth_share or UNKNOWN_SHARE
+            share = self.earth_share or DEFAULT_EARTH_SHARE
             placed = replace(self, known_N=surroundings.albedo_light_N, earth_share=share)
         lit, lit_sigma = surroundings.lit, surroundings.lit_sigma
         if lit is None or lit_sigma is None:
             return placed
-        dark = lit + lit_sigma < LEAST_LIT
+        dark = lit + lit_sigma < LEAST_SUN_FRACTION
         # At the edge the sample counts as in the Sun. Its factor is as free as that of a sample whose power is limited.
-        at_edge = ~dark & (lit - lit_sigma < 1 - LEAST_LIT)
+        at_edge = ~dark & (lit - lit_sigma < 1 - LEAST_SUN_FRACTION)
         free = np.maximum(self.scale_sigma, LIMITED_SCALE)
         return replace(
             placed,
@@ -296,8 +296,8 @@ class Panels(Term):
         # samples do not reach it, either the Sun never came into the plane, or the full scale is wrong: both are searched.
         share = np.nan_to_num(self.power) / self.full_sun / self.scale[:, None]
         share = np.where(np.isfinite(self.sigma), share, 0.0)
-        brightest = float(np.quantile(np.linalg.norm(share, axis=1), BRIGHTEST))
-        if abs(brightest - 1) < OTHER_SCALE:
+        brightest = float(np.quantile(np.linalg.norm(share, axis=1), FULL_SUN_QUANTILE))
+        if abs(brightest - 1) < SCALE_TOLERANCE:
             return [for_search]
         return [for_search, replace(for_search, gain=self.gain * brightest)]
 
@@ -339,14 +339,14 @@ class Panels(Term):
         was_read = np.isfinite(self.sigma).any(axis=0)
         singular_values, axes = np.linalg.svd(self.response.facing_B[was_read])[1:]
         # one value: the normals span a line; three: they span space
-        if np.count_nonzero(singular_values > FLAT) != 2:
+        if np.count_nonzero(singular_values > TINY) != 2:
             return None
         across = axes[2]
         # the response need not be that of flat panels, so the mirrored Sun is tried
-        sun_B = sphere(LOOKS)
+        sun_B = sphere(N_SUN_DIRECTIONS)
         mirrored = sun_B - 2 * (sun_B @ across)[:, None] * across
         change = self.response.power(mirrored) - self.response.power(sun_B)
-        unchanged = np.abs(change[:, was_read]).max() < FLAT * self.response.largest_power
+        unchanged = np.abs(change[:, was_read]).max() < TINY * self.response.largest_power
         return across if unchanged else None
 
     def images(self) -> np.ndarray:
@@ -355,7 +355,7 @@ class Panels(Term):
         if axis is None:
             return images
         mirrored = images @ (np.eye(3) - 2 * np.outer(axis, axis))
-        new = [image for image in mirrored if np.abs(images - image).max(axis=(1, 2)).min() > FLAT]
+        new = [image for image in mirrored if np.abs(images - image).max(axis=(1, 2)).min() > TINY]
         return np.concatenate([images, np.reshape(new, (-1, 3, 3))])
 
     def residuals(self, states: States, u: np.ndarray) -> Iterator[Residual]:

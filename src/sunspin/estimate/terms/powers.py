@@ -41,14 +41,14 @@ HALF_WEIGHT, ROUNDS = 5.0, 3
 """Residual, in sigmas, at which a reading has half its weight in the factor of a throttled sample; and number of times that factor
 and weights are computed again."""
 
-MEAN_LIT_SINE = 2 / 3
+MEAN_SQUARE_SINE = 2 / 3
 """Mean square of the sine of the angle between a panel's normal and the Sun, over all directions of the Sun in front of the
 panel."""
 
-TIME_STEPS, FAR_TIME = 3, 4.0
+TIME_STEPS, LARGEST_TIME_SIGMAS = 3, 4.0
 """Gauss-Newton steps to the best time error of a sample, and the limit of that error in sigmas."""
 
-TIME_SPACING, FEWEST_TIMES = 1.5, 4.0
+SPACING_IN_PEAK_SIGMAS, FEWEST_POINTS_PER_SIGMA = 1.5, 4.0
 """For the integral of the density over time errors: largest spacing of the time errors in sigmas of the narrowest possible peak
 (the integral of a normal law is then exact to 1e-3), and smallest number of time errors for each sigma."""
 
@@ -232,7 +232,7 @@ class PanelPowers(Term):
         no_error = np.zeros(states.sun_B.shape[:-1])
         if not self.time_s:
             return no_error, no_error
-        law, limit = self.law(u), FAR_TIME * self.time_s
+        law, limit = self.law(u), LARGEST_TIME_SIGMAS * self.time_s
         gain, tilt = self.gain(u)[:, None], self.tilt(u)
 
         def differences_at(late_s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -400,18 +400,22 @@ class PanelPowers(Term):
         steepest = np.linalg.norm(full_power / self.sigma, axis=1)
         steepest *= np.linalg.norm(states.omega, axis=-1).max(axis=1) * np.exp(-self.log_noise(u))
         # points for each sigma of the time error, so that the narrowest peak (prior times readings) is resolved
-        points_per_sigma = np.hypot(1.0, self.time_s * steepest) / TIME_SPACING
+        points_per_sigma = np.hypot(1.0, self.time_s * steepest) / SPACING_IN_PEAK_SIGMAS
         # The number of points is the smallest one, doubled some times: most motions share their points, and no result depends on
         # which motions are computed together.
-        doublings = np.ceil(np.log2(np.maximum(points_per_sigma / FEWEST_TIMES, 1.0))).astype(int)
+        doublings = np.ceil(
+            np.log2(np.maximum(points_per_sigma / FEWEST_POINTS_PER_SIGMA, 1.0))
+        ).astype(int)
         total = np.empty(states.sun_B.shape[:-1])
         for doubling in np.unique(doublings):
             rows = doublings == doubling
             panels = replace(self, power=self.power[rows]) if self.power.ndim == 3 else self
             motions = SunStates.of(states.sun_B[rows], states.omega[rows])
-            count = int(2 * FAR_TIME * FEWEST_TIMES) << doubling
+            count = int(2 * LARGEST_TIME_SIGMAS * FEWEST_POINTS_PER_SIGMA) << doubling
             # time errors in sigmas
-            errors, step = np.linspace(-FAR_TIME, FAR_TIME, count + 1, retstep=True)
+            errors, step = np.linspace(
+                -LARGEST_TIME_SIGMAS, LARGEST_TIME_SIGMAS, count + 1, retstep=True
+            )
             log_sum = np.full(motions.sun_B.shape[:-1], -np.inf)
             for error in errors:
                 late_s = np.full(log_sum.shape, error * self.time_s)
@@ -474,7 +478,7 @@ class PanelPowers(Term):
         across = cross(self.turns[tilts], self.response.normals_B)
         # only one of the two rotations of a panel changes its angle to the Sun, so half of the sum of both squares counts
         square = (across**2).sum(axis=(0, 2)) / 2
-        size = np.sqrt(np.mean(square * self.response.gains**2) * MEAN_LIT_SINE)
+        size = np.sqrt(np.mean(square * self.response.gains**2) * MEAN_SQUARE_SINE)
         return replace(self, sigma=np.hypot(self.sigma, size * self.brightness))
 
 

@@ -23,12 +23,11 @@ from sunspin.estimate.model import States, Unknown
 from sunspin.solve.rotations import cross
 
 FREEDOM = 4.0
-"""Degrees of freedom of Student's law of the readings at a sample. Its tails are so wide that it tolerates one bad sample in
-ten."""
+"""Degrees of freedom of Student's law of the readings at a sample: with its wide tails one bad sample in ten does little harm."""
 
 Law = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
 """Function from differences (..., r) in sigmas to their cost (...), minus the log of their probability density up to a constant,
-and to the weight (...) of their squares in a Gauss-Newton step: twice the derivative of the cost by the sum of squares."""
+and to the weights, (...) or (..., r), of their squares in a Gauss-Newton step: twice the derivatives of the cost by the squares."""
 
 
 def student(value: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -42,7 +41,7 @@ def student(value: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def gaussian(value: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return cost and weight (...) of differences (..., r), in sigmas, with a normal law: half the sum of squares, and one."""
+    """Return cost and weight (...) of differences (..., r), in sigmas, under a normal law: half the sum of squares, and one."""
     return np.einsum("...r,...r->...", value, value) / 2, np.ones(value.shape[:-1])
 
 

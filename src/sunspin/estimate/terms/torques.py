@@ -23,10 +23,10 @@ Frame = Literal["B", "N"]
 WORDS: dict[Frame, str] = {"B": "body axes", "N": "axes fixed in space"}
 """Axes in which a torque is constant, in words."""
 
-INSTANTS = np.polynomial.legendre.leggauss(5)
+QUADRATURE = np.polynomial.legendre.leggauss(5)
 """Nodes in [-1, 1] and weights of Gauss's quadrature over an interval, for bodies that rotate by less than a revolution in it."""
 
-SERIES = 12
+SERIES_TERMS = 12
 """Number of terms of the exponential series. Its remainder is 1e-14 for matrices with a norm of a half."""
 
 
@@ -258,7 +258,7 @@ class GravityTorque(Term):
         The body keeps its first rate in each interval.
         """
         inverse, added = np.linalg.inv(self.inertia), 0.0
-        for node, weight in zip(*INSTANTS, strict=True):
+        for node, weight in zip(*QUADRATURE, strict=True):
             # time of the node from 0 to 1 in the interval
             share = (1 + node) / 2
             attitude = rotate_attitude(
@@ -282,8 +282,8 @@ def exponential(matrix: np.ndarray) -> np.ndarray:
     halvings = max(0, int(np.ceil(np.log2(max(largest_norm, 1e-300)))) + 1)
     small, eye = matrix / 2.0**halvings, np.eye(matrix.shape[-1])
     # Horner's scheme of the series
-    result = eye + small / SERIES
-    for k in range(SERIES - 1, 0, -1):
+    result = eye + small / SERIES_TERMS
+    for k in range(SERIES_TERMS - 1, 0, -1):
         result = eye + small @ result / k
     for _ in range(halvings):
         result = result @ result
