@@ -68,9 +68,8 @@ class Truth:
     wheel_speed_rad_s, wheel_mode, torques : as in :func:`sunspin.propagate`; default: the vehicle's nominal speeds
     scale : signal of a panel of gain 1 in full Sun; default: `full_signal_scale`
     noise : number or (n_input), one sigma in the unit of the signal; default: the vehicle's, zero if it states none
-    tilt_B_rad : (n_panel, 3), rotation vectors of the panels' normals (rad, B); or a number, the sigma about each of two axes
-    across
-        a normal, with which they are drawn
+    tilt_B_rad : (n_panel, 3), rotation vectors of the panels' normals (rad, B); or the sigma of their two components across the
+        normal, with which they are drawn
     """
 
     omega_B: npt.ArrayLike
@@ -123,7 +122,8 @@ def synthetic_telemetry(
         "seed": seed,
     }
     if tilt is not None:
-        true_values["tilt_B_rad"] = tilt.ravel()  # attributes of NetCDF have one dimension
+        # attributes of NetCDF have one dimension
+        true_values["tilt_B_rad"] = tilt.ravel()
     epoch = vehicle.telemetry.epoch_utc or EPOCH_UTC
     return telemetry_dataset(vehicle, t, power, sun, epoch, true_values)
 

@@ -29,8 +29,7 @@ N_CANDIDATES, N_SEARCH_POINTS = 400, 800
 """Largest numbers of candidate lines and of points in the search. The refinement uses all points."""
 
 SEARCH_DISTANCES = 6_000_000
-"""Number of point-line distances in the search, which sets the number of its starts: small clouds are cheap and need more
-starts."""
+"""Number of point-line distances in the search. It sets the number of starts: small clouds are cheap and need more of them."""
 
 MIN_STARTS, MAX_STARTS = 12, 100
 """Limits of the number of starts of the search."""

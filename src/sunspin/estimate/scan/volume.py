@@ -47,9 +47,9 @@ class Propagation:
     Attributes
     ----------
     wheel_mode : "coast", "hold", "brake", or one per wheel
-    direction_error : rad, allowed error of the simulated Sun direction at the end, instead of `emd_error`; default for a track:
-    1e-3 environment, torques, B_from_N : as in :func:`sunspin.propagate` start_s : s, start of the motions on the environment's
-    clock
+    direction_error : rad, allowed error of the simulated Sun direction at the end, in place of `emd_error`; for a track 1e-3
+    environment, torques, B_from_N : as in :func:`sunspin.propagate`
+    start_s : s, start of the motions on the environment's clock
     """
 
     wheel_mode: str | Sequence[str] = "coast"

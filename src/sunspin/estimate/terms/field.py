@@ -361,8 +361,8 @@ class KnownField(Term):
             return attitude, u
         read_N = np.einsum("knji,nj->kni", states.attitude[:, was_read], self.read_B[was_read])
         known, weight = self.field_N[was_read], 1 / self.sigma_T[was_read] ** 2
-        # The angle about z, the Sun, takes the x and y components of the known fields to those of the readings. These are weighted
-        # sums of the products of both lengths with its sine and its cosine.
+        # The angle about z, the Sun, takes the x and y components of the known fields to those of the readings. `sine` and `cosine`
+        # are weighted sums of its sine and its cosine times both lengths.
         sine = ((known[:, 0] * read_N[..., 1] - known[:, 1] * read_N[..., 0]) * weight).sum(axis=1)
         cosine = ((known[:, :2] * read_N[..., :2]).sum(axis=2) * weight).sum(axis=1)
         about_z = rotate_attitude(np.eye(3), -np.arctan2(sine, cosine)[:, None] * SUN_N)

@@ -42,8 +42,7 @@ HALF_WEIGHT, ROUNDS = 5.0, 3
 and weights are computed again."""
 
 MEAN_SQUARE_SINE = 2 / 3
-"""Mean square of the sine of the angle between a panel's normal and the Sun, over all directions of the Sun in front of the
-panel."""
+"""Mean square of the sine of the angle between a panel's normal and the Sun, over all Sun directions in front of the panel."""
 
 TIME_STEPS, LARGEST_TIME_SIGMAS = 3, 4.0
 """Gauss-Newton steps to the best time error of a sample, and the limit of that error in sigmas."""
@@ -315,8 +314,7 @@ class PanelPowers(Term):
 
         The noise is `noise_factor` times that of the unknowns u (K, m). Two per cent of readings are outliers: a difference d costs
         -log(0.98 N(d) + 0.02 density of outliers), and its weight is the probability that it is no outlier, over the variance.
-        Costs are relative to readings exactly as predicted under the stated noise. Differences of dark readings are also treated as
-        Gaussian.
+        Costs are relative to readings exactly as predicted under the stated noise. Dark readings are treated as Gaussian too.
         """
         log_noise = (self.log_noise(u) + np.log(noise_factor))[:, None, None]
         noise = np.exp(log_noise)
@@ -468,8 +466,7 @@ class PanelPowers(Term):
     def with_tilts_as_noise(self) -> PanelPowers:
         """Return the readings with a larger noise in place of the tilts of single panels, for a search that does not fit tilts.
 
-        The added noise is the same for all inputs: the root mean square over the panels, and over directions of the Sun in front of
-        them.
+        The added noise is the same for all inputs: the root mean square over panels and over Sun directions in front of them.
         """
         tilts = self.indices(TILT)
         if not tilts:
