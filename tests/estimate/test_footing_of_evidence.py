@@ -144,7 +144,7 @@ def test_an_oscillation_pays_for_gains_that_are_not_known_as_a_rotation_does():
     of_swing, of_rotation = [], []
     (term,) = model.obs.terms
     for u in errors:
-        held = replace(model.obs, terms=(term.held(np.array([u])),))
+        held = replace(model.obs, terms=(term.with_fixed_unknowns(np.array([u])),))
         of_swing.append(log_mean_likelihood(held, wander)[0])
         start = Track.free(nominal.motions.attitude, nominal.motions.omega)
         of_rotation.append(fit(replace(model, obs=held), start, 20, 1e-6).log_evidence[0])

@@ -10,7 +10,7 @@ from sunspin.estimate.images import either_side, imaged, images_of, with_images
 from sunspin.estimate.model import Noise, Track
 from sunspin.estimate.rates import rates
 from sunspin.estimate.settings import SearchSettings
-from sunspin.estimate.terms.panels import OTHER_SCALE
+from sunspin.estimate.terms.panels import SCALE_TOLERANCE
 from tests.support.passes import OMEGA, stated_model, tumbling_pass
 from tests.support.simulate import CUBE, FAULTS_OF_FOUR_SIDES, FOUR_SIDES, cube_with_faults
 
@@ -35,7 +35,7 @@ def test_another_full_scale_is_searched_only_for_panels_in_one_plane(craft, coun
     assert len(searched) == count
     if count == 2:
         ratio = searched[1].gain / searched[0].gain
-        assert np.ptp(ratio) < 1e-12 and abs(ratio[0] - 1) >= OTHER_SCALE
+        assert np.ptp(ratio) < 1e-12 and abs(ratio[0] - 1) >= SCALE_TOLERANCE
         stated = replace(panels, power=panels.power / 1.3)
         assert len(stated.for_search()) == 1
 

@@ -188,7 +188,7 @@ def test_noise_is_not_taken_for_less_because_times_fit_it():
     own = fitting.motions.u[:, model.of_panels]
     of_all = model.panels.best_noise(value, own, np.zeros(1), -5.0)
     assert abs(fitted) < 2.5
-    assert fitted > of_all[0, model.panels.places("noise")[0]] + 0.3
+    assert fitted > of_all[0, model.panels.indices("noise")[0]] + 0.3
 
 
 def test_slopes_are_those_of_the_cost_with_times_at_their_best():

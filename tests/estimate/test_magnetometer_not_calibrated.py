@@ -17,7 +17,7 @@ from sunspin.estimate.observe import observe
 from sunspin.estimate.one_pass import fit_tracks, search_motions
 from sunspin.estimate.rates import rates
 from sunspin.estimate.settings import RATES
-from sunspin.estimate.terms.field import LARGEST_ZERO, SOFT_IRON, FieldChange
+from sunspin.estimate.terms.field import LARGEST_ZERO_SHARE, MATRIX_SIGMA, FieldChange
 from sunspin.telemetry.assess import assess
 from tests.support.orbit_cases import one_pass, pass_against_truth, rates_case
 
@@ -59,8 +59,8 @@ def test_a_zero_of_which_the_file_says_nothing_is_an_alternative(uncalibrated):
     assert other.what == ANOTHER and other.log_prior == nominal.log_prior
     size = np.median(np.linalg.norm(telemetry["field_B"].values, axis=1))
     sizes = {unknown.kind: unknown.sigma for unknown in other.unknowns}
-    assert sizes["field_zero"] == pytest.approx(LARGEST_ZERO * size)
-    assert sizes["field_matrix"] == SOFT_IRON
+    assert sizes["field_zero"] == pytest.approx(LARGEST_ZERO_SHARE * size)
+    assert sizes["field_matrix"] == MATRIX_SIGMA
     # a file that states a sigma has these unknowns already
     assert not list(another_zero(other, RATES.alternatives))
 

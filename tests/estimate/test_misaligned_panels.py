@@ -10,7 +10,7 @@ from sunspin import rates
 from sunspin.estimate.alternatives import MISALIGNED
 from sunspin.estimate.model import States
 from sunspin.estimate.observe import observe as observed
-from sunspin.estimate.terms.panels import TILT
+from sunspin.estimate.terms.panels import TILT_SIGMA_RAD
 from sunspin.solve.rotations import rotate_attitude
 from sunspin.telemetry.assess import assess
 from validation.passes import FACES, SimulatedPass, observe, spin
@@ -55,14 +55,14 @@ def test_panels_that_are_all_turned_alike_read_what_they_read_if_the_body_is_tur
     made = made_pass(0, np.zeros((6, 3)))
     panels = observed(assess(made.vehicle, made.telemetry)).obs.terms[0]
     stated = replace(panels, gain_errors=panels.gain_errors[:0])
-    turned = replace(stated, tilt_sigma=TILT)
+    turned = replace(stated, tilt_sigma=TILT_SIGMA_RAD)
     rng = np.random.default_rng(1)
     n = len(made.omega)
     attitude = Rotation.random(n, random_state=2).as_matrix()[None]
     states = States(attitude, np.zeros((1, n, 3)))
     turn = 1e-4 * rng.normal(size=3)
     # the part of the turn across the direction of each panel, in sigmas; about that direction a panel may be turned as it likes
-    u = (turned.tilt_axes() @ turn / TILT).reshape(1, -1)
+    u = (turned.tilt_axes() @ turn / TILT_SIGMA_RAD).reshape(1, -1)
     (by_panels,) = turned.residuals(states, u)
     moved = States(rotate_attitude(attitude, np.broadcast_to(turn, (1, n, 3))), states.omega)
     (by_body,) = stated.residuals(moved, np.zeros((1, 0)))

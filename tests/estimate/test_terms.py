@@ -183,13 +183,13 @@ def test_the_turn_about_the_sun_is_that_of_the_field():
     seen = motions(rng, count=1)
     term = replace(known_field(rng), read_B=np.einsum("nij,nj->ni", seen.attitude[0], field_N()))
     turned = seen.attitude @ Rotation.from_rotvec([0.0, 0.0, 2.1]).as_matrix()
-    attitude, _ = term.begin(replace(seen, attitude=turned), about_sun=False)
+    attitude, _ = term.first_guess(replace(seen, attitude=turned), about_sun=False)
     assert np.allclose(attitude, seen.attitude, atol=1e-9)
 
 
 def test_axes_along_the_field_have_it_on_z_and_turn_least():
     term = known_field(np.random.default_rng(8))
-    unit, frames = units(field_N()), term.frames()
+    unit, frames = units(field_N()), term.field_axes()
     assert np.allclose(frames @ unit[..., None], [[0.0], [0.0], [1.0]], atol=1e-12)
     # they turn in space if no orbit says how
     assert FieldDirection.axes_rad_s == FIELD_TURN and not term.axes_rad_s

@@ -19,7 +19,7 @@ from sunspin.estimate.model import AS_STATED, Model, Track
 from sunspin.estimate.settings import AlternativeSettings
 from sunspin.estimate.terms.field import FieldChange
 from sunspin.estimate.terms.inertial import GyroRates
-from sunspin.estimate.terms.panels import TILT, Panels
+from sunspin.estimate.terms.panels import TILT_SIGMA_RAD, Panels
 from sunspin.estimate.terms.torques import WORDS, ConstantTorque
 
 MISALIGNED = "misaligned panels"
@@ -105,7 +105,7 @@ def misaligned_panels(
         gains.append(float(rest @ np.linalg.pinv(matrix, hermitian=True) @ rest) / 2)
     if max(gains, default=0.0) > s.tilt_shows:
         name = panels.names[int(np.argmax(gains))]
-        terms = (replace(panels, tilt_sigma=TILT), *nominal.obs.terms[1:])
+        terms = (replace(panels, tilt_sigma=TILT_SIGMA_RAD), *nominal.obs.terms[1:])
         what = f"{MISALIGNED}, {name} most"
         yield replace(nominal, obs=replace(nominal.obs, terms=terms), what=what)
 

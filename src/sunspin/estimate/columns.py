@@ -50,7 +50,7 @@ from sunspin.estimate.model import Body, Model, Noise
 from sunspin.estimate.observe import observe, split_passes, take_samples, wheel_models
 from sunspin.estimate.quick import quick_evidence
 from sunspin.estimate.settings import RatesSettings
-from sunspin.estimate.terms.panels import DARK
+from sunspin.estimate.terms.panels import SHADOW_ZERO_SHARE
 from sunspin.estimate.verdict import (
     COLUMNS_DOUBTED,
     COLUMNS_STATED,
@@ -350,7 +350,7 @@ def cost_of_silent_panels(assessment: Assessment, samples: np.ndarray) -> float:
     """
     quality = assessment.quality
     silent = silent_inputs(assessment)
-    zeros = DARK * quality.attrs["full_sun"] * quality["gain"].values
+    zeros = SHADOW_ZERO_SHARE * quality.attrs["full_sun"] * quality["gain"].values
     read = signals(assessment.telemetry)
     sigma = np.broadcast_to(np.hypot(quality["noise"].values, zeros), read.shape)
     read, sigma = read[samples][:, silent], sigma[samples][:, silent]

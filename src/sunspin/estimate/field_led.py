@@ -32,7 +32,7 @@ def models_to_search(nominal: Model, noise: Noise) -> list[Model]:
     loose = nominal.for_search(noise)[0]
     pairs = zip(nominal.obs.terms, loose.obs.terms, strict=True)
     others = (of_search for term, of_search in pairs if not term.of_sun and term is not known)
-    return [replace(loose, obs=replace(loose.obs, terms=(known.directions(), *others)))]
+    return [replace(loose, obs=replace(loose.obs, terms=(known.as_sun_directions(), *others)))]
 
 
 def leading_field(nominal: Model) -> KnownField | None:
@@ -50,7 +50,7 @@ def to_nominal_axes(nominal: Model, loose: Model, motions: Track, s: SearchSetti
     """
     known = leading_field(nominal)
     if known is not None:
-        turns, frames = FIELD_TURNS, known.frames()
+        turns, frames = FIELD_TURNS, known.field_axes()
         plain = nominal.for_search(loose.noise)[0]
         terms = tuple(
             known.without_errors() if term is known else of_search
@@ -66,7 +66,7 @@ def to_nominal_axes(nominal: Model, loose: Model, motions: Track, s: SearchSetti
         attitude = motions.attitude @ rotate_attitude(np.eye(3), -angle * SUN_N) @ frames
         omega = motions.omega
         if known is not None:
-            omega = omega + np.einsum("knij,nj->kni", attitude, known.turning())
+            omega = omega + np.einsum("knij,nj->kni", attitude, known.axes_rate_N())
         tracks.append(Track.free(attitude, omega))
     fitted = fit(model, Track.joined(tracks), FIT_STEPS).motions
     if known is None:  # all turns fit the Sun alike: the fit with its unknowns decides
@@ -81,6 +81,6 @@ def prepare_fit(model: Model, motions: Track) -> Track:
     if len(motions):
         # terms that show the turn about the Sun come first: the others begin from the attitudes that they determine
         for term, own in sorted(model.terms_with_slices, key=lambda pair: not pair[0].about_sun):
-            attitude, u[:, own] = term.begin(States(attitude, motions.omega), about_sun)
+            attitude, u[:, own] = term.first_guess(States(attitude, motions.omega), about_sun)
             about_sun |= term.about_sun
     return Track(attitude, motions.omega, u)

@@ -51,7 +51,9 @@ def swings_by_all_ways(
     span_s = float(np.ptp(obs.t_s))
     motion = best.motions.take(np.array([np.argmax(best.log_evidence)]))
     # gains as the best motion has them: errors enlarged by what is unknown of them would count as likelihood
-    held = tuple(term.held(motion.u[0, own]) for term, own in nominal.terms_with_slices)
+    held = tuple(
+        term.with_fixed_unknowns(motion.u[0, own]) for term, own in nominal.terms_with_slices
+    )
     known = replace(obs, terms=held)
     alone = _of_known(best.model, motion, known, ladder_settings)
     if not np.isfinite(alone.log_evidence[0]):

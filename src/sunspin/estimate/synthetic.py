@@ -1,4 +1,4 @@
-"""Simulated telemetry of any vehicle: of a given motion, and of a random pass with the errors of real sensors."""
+"""Simulated telemetry of any vehicle: of a given motion ("twin"), and of a random pass with the errors of real sensors."""
 
 from __future__ import annotations
 
@@ -32,52 +32,44 @@ EPOCH_UTC = "2000-01-01T12:00:00Z"
 """Epoch if neither the vehicle file nor an orbit gives one."""
 
 NOISE = 0.02
-"""Noise of a reading as a part of full Sun, one sigma, if the vehicle file states none. With relative gains the signal of full Sun
-is chosen so that the stated noise is this part of it."""
+"""Noise of a reading, one sigma, as a part of full Sun, if the vehicle file states none. If gains have no unit, the signal in full
+Sun is chosen so that the stated noise is this part of it."""
 
 GAIN_ERROR = 0.05
 """Relative error of the gain of each panel of a random pass, one sigma: cells of one batch differ by a few per cent."""
 
 EARTH_LIGHT = (0.02, 0.1)
-"""Smallest and largest light of the Earth in a random pass without an orbit, in parts of full Sun: a low orbit has up to a third
-over bright ground, and a few per cent over the sea."""
+"""Limits of the Earth's light in a random pass without an orbit, in parts of full Sun. In a low orbit it is up to a third over
+bright ground, and a few per cent over the sea."""
 
-MOMENTS = (0.7, 1.3)
+MOMENT_RANGE = (0.7, 1.3)
 """Range of the relative moments of inertia in a random pass if the vehicle file does not state the inertia."""
 
 WITHIN_DAYS = 1.0
-"""A random pass in an orbit begins within so many days after the epoch of the elements."""
+"""A random pass in an orbit begins within this number of days after the epoch of the elements."""
 
-LIT = 0.5
-"""A sample that sees more of the Sun's disc than this is in sunlight."""
+LIT_FRACTION, LEAST_SUNLIT = 0.5, 0.5
+"""Visible part of the Sun's disc above which a sample is in sunlight; smallest part of the samples of a random pass in sunlight."""
 
-LEAST_SUNLIT = 0.5
-"""A random pass has at least this part of its samples in sunlight."""
-
-TRIES = 1000
-"""Largest number of times that are tried for a pass in sunlight."""
+MOST_TRIES = 1000
+"""Largest number of random times that are tried to find a pass in sunlight."""
 
 DAY_S = 86400.0
 
 
 @dataclass(frozen=True)
 class Truth:
-    """The motion behind simulated telemetry, and how the panels see it.
+    """The motion behind simulated telemetry, and the signals of the panels.
 
     Attributes
     ----------
-    omega_B, sun_B : (3)
-        Rate in rad/s and direction to the Sun at ``t_s[0]``, body axes.
-    t_s : (n)
-        Times of the samples, s from the epoch.
-    wheel_speed_rad_s, wheel_mode, torques
-        As in :func:`sunspin.propagate`; default: the vehicle's nominal speeds.
-    scale : float
-        Signal of a panel of gain 1 in full Sun; default: `full_signal_scale`.
-    noise : float or (n_input)
-        One sigma in the unit of the signal; default: the vehicle's, zero if it states none.
-    tilt_B_rad : float or (n_panel, 3)
-        Rotation vectors of the panels' normals. A number is the sigma of their angles to each side, which the seed then determines.
+    omega_B, sun_B : (3), rate in rad/s and direction to the Sun at ``t_s[0]``, body axes
+    t_s : (n), times of the samples, s from the epoch
+    wheel_speed_rad_s, wheel_mode, torques : as in :func:`sunspin.propagate`; default: the vehicle's nominal speeds
+    scale : signal of a panel of gain 1 in full Sun; default: `full_signal_scale`
+    noise : number or (n_input), one sigma in the unit of the signal; default: the vehicle's, zero if it states none
+    tilt_B_rad : (n_panel, 3), rotation vectors of the panels' normals (rad, B); or the sigma of their two components across the
+        normal, with which they are drawn
     """
 
     omega_B: npt.ArrayLike
@@ -94,7 +86,7 @@ class Truth:
 def synthetic_telemetry(
     vehicle: Vehicle, truth: Truth | Mapping[str, Any], seed: int = 0
 ) -> xr.Dataset:
-    """Return telemetry of a vehicle that moves as `truth` says. See :func:`sunspin.twin`, which calls this for a vehicle."""
+    """Return simulated telemetry of a vehicle with the motion `truth`, as :func:`sunspin.twin` documents."""
     vehicle.require_panels()
     truth = _checked(truth)
     noise = vehicle.input_noise if truth.noise is None else truth.noise
@@ -130,7 +122,8 @@ def synthetic_telemetry(
         "seed": seed,
     }
     if tilt is not None:
-        true_values["tilt_B_rad"] = tilt.ravel()  # attributes of NetCDF have one dimension
+        # attributes of NetCDF have one dimension
+        true_values["tilt_B_rad"] = tilt.ravel()
     epoch = vehicle.telemetry.epoch_utc or EPOCH_UTC
     return telemetry_dataset(vehicle, t, power, sun, epoch, true_values)
 
@@ -138,8 +131,8 @@ def synthetic_telemetry(
 def full_signal_scale(vehicle: Vehicle) -> float:
     """Return the signal of a panel of gain 1 in full Sun.
 
-    It is 1 if gains have a unit or no noise is stated. Otherwise the noise of the input with the largest gain is the part `NOISE`
-    of the full signal of that input.
+    It is 1 if gains have a unit or the vehicle file states no noise. Otherwise the noise of the input with the largest gain is the
+    part `NOISE` of its signal in full Sun.
     """
     noise, gains = vehicle.input_noise, vehicle.input_gains
     if vehicle.gain_unit is not None or noise is None:
@@ -148,7 +141,7 @@ def full_signal_scale(vehicle: Vehicle) -> float:
 
 
 def _checked(truth: Truth | Mapping[str, Any]) -> Truth:
-    """Return the truth; raise `InputError` for unknown or missing fields, or a scale that is not positive."""
+    """Return `truth` as a `Truth`; raise `InputError` for unknown or missing fields, or a scale that is not positive."""
     if not isinstance(truth, Truth):
         names = [field.name for field in fields(Truth)]
         wrong = [f"unknown {name}" for name in sorted(set(truth) - set(names))]
@@ -162,23 +155,20 @@ def _checked(truth: Truth | Mapping[str, Any]) -> Truth:
 
 
 def _tilt(truth: Truth, vehicle: Vehicle, rng: np.random.Generator) -> np.ndarray | None:
-    """Return the rotation vectors (n_panel, 3) of the panels' normals, rad; None if there are no misalignments."""
+    """Return the rotation vectors (n_panel, 3) of the panels' normals (rad, B), drawn if only a sigma is given; None if zero."""
     given = np.asarray(truth.tilt_B_rad, dtype=np.float64)
     if not np.any(given):
         return None
     shape = (len(vehicle.panels), 3)
-    if (
-        given.shape not in ((), shape)
-        or not np.all(np.isfinite(given))
-        or (given.ndim == 0 and given < 0)
-    ):
+    valid = given.shape in ((), shape) and np.all(np.isfinite(given))
+    if not valid or (given.ndim == 0 and given < 0):
         what = f"tilt_B_rad of a twin is one sigma, or turns of shape {shape}, in rad"
         raise InputError(what, got=given.shape or float(given))
     return given if given.ndim else draw_tilts(vehicle, float(given), rng)
 
 
 class SimulatedPass(NamedTuple):
-    """A random pass: telemetry, true rates (n, 3) in rad/s, and the orbit; None without one."""
+    """A random pass: simulated telemetry, true rates (n, 3) in rad/s, body axes, and the orbit, or None."""
 
     telemetry: xr.Dataset
     omega_B: np.ndarray
@@ -194,35 +184,29 @@ def simulate_pass(
     bits: int | None = None,
     orbit: tuple[Source, ...] = (),
 ) -> SimulatedPass:
-    """Simulate a pass of a body that rotates with this speed about a random axis, from a random attitude, its wheels held.
+    """Return a simulated pass of a body that starts to rotate about a random axis, from a random attitude, with held wheels.
 
-    Readings have noise, and each panel an error of its gain. The Earth shines on the panels as well.
+    The readings have noise, an error of the gain of each panel, and the light of the Earth.
 
     Parameters
     ----------
-    t_s : (n)
-        Times of the samples, s.
-    bits : int, optional
-        Bits of the converter, whose range is 1.2 times full Sun; without them readings have no steps.
-    orbit : tuple of element sets or tables of positions, optional
-        Eclipses and the light of the Earth are then those of the orbit, at a random time. Otherwise the Sun always shines, and the
-        light of the Earth comes from a random direction.
+    t_s : (n), times of the samples, s
+    speed_rad_s : angular speed at the first sample
+    bits : bits of the converter, whose range is 1.2 times full Sun; None: readings are not rounded
+    orbit : element sets or tables of positions, from which eclipses and the light of the Earth at a random time follow; if empty,
+        the Sun always shines, and the light of the Earth comes from a random direction
     """
     t_s = on_time_grid(t_s)
     axis, first_quaternion = rng.standard_normal(3), rng.standard_normal(4)
     body = vehicle
     if vehicle.inertia_kg_m2 is None:
-        body = replace(vehicle, inertia_kg_m2=np.diag(rng.uniform(*MOMENTS, 3)), wheels=())
-    motion = propagate(
-        body,
-        speed_rad_s * axis / np.linalg.norm(axis),
-        np.array([0.0, 0.0, 1.0]),
-        [wheel.speed_rad_s for wheel in body.wheels],
-        t_s,
-        wheel_mode="hold",
-        rtol=1e-9,
-    )
-    # the attitudes of `motion` are relative to that of the first sample, which is random
+        body = replace(vehicle, inertia_kg_m2=np.diag(rng.uniform(*MOMENT_RANGE, 3)), wheels=())
+    omega_B = speed_rad_s * axis / np.linalg.norm(axis)
+    speeds = [wheel.speed_rad_s for wheel in body.wheels]
+    # any direction of the Sun: only rates and relative attitudes of this motion are used
+    z_B = np.array([0.0, 0.0, 1.0])
+    motion = propagate(body, omega_B, z_B, speeds, t_s, wheel_mode="hold", rtol=1e-9)
+    # the attitudes of `motion` are relative to that of the first sample, which gets a random one
     first_B_from_N = matrix_from_quaternion(first_quaternion / np.linalg.norm(first_quaternion))
     B_from_N = matrix_from_quaternion(motion["B_from_N"].values) @ first_B_from_N
     if orbit:
@@ -232,19 +216,20 @@ def simulate_pass(
         environment, epoch = None, vehicle.telemetry.epoch_utc or EPOCH_UTC
         sun, earth = rng.standard_normal((2, 3))
         earth = rng.uniform(*EARTH_LIGHT) * earth / np.linalg.norm(earth)
-        n = (len(t_s), 1)
+        repeats = (len(t_s), 1)
         surroundings = Surroundings(
-            sun_N=np.tile(sun / np.linalg.norm(sun), n),
+            sun_N=np.tile(sun / np.linalg.norm(sun), repeats),
             lit=np.ones(len(t_s)),
-            albedo_light_N=np.tile(earth, n),
+            albedo_light_N=np.tile(earth, repeats),
         )
     lit, earth_N = surroundings.lit, surroundings.albedo_light_N
-    assert lit is not None and earth_N is not None  # an orbit knows both
+    # an orbit gives both
+    assert lit is not None and earth_N is not None
     sun_B, earth_B = (
         np.einsum("nij,nj->ni", B_from_N, vector) for vector in (surroundings.sun_N, earth_N)
     )
-    of_sun = panel_power(vehicle, sun_B) * lit[:, None]
-    power = _readings(vehicle, of_sun, earth_B, bits, rng)
+    sunlight = panel_power(vehicle, sun_B) * lit[:, None]
+    power = _readings(vehicle, sunlight, earth_B, bits, rng)
     telemetry = telemetry_dataset(vehicle, t_s, power, sun_B, epoch, {})
     return SimulatedPass(telemetry, motion["omega_B"].values, environment)
 
@@ -252,22 +237,26 @@ def simulate_pass(
 def _sunlit_orbit(
     sources: tuple[Source, ...], t_s: np.ndarray, rng: np.random.Generator
 ) -> tuple[Orbit, Surroundings]:
-    """Return an orbit at a random time of the sources, and its surroundings at times t_s (n) after it, enough of them sunlit."""
+    """Return an orbit whose epoch is a random time, and its surroundings `t_s` (n), s, after it, of which enough are in sunlight.
+
+    `sources`: element sets, or tables of positions that limit the time.
+    """
     first_jd, days = sum(sources[0].epoch_jd), WITHIN_DAYS
     if isinstance(sources[0], Ephemeris):
         first_jd, last_jd = sources[0].span_jd
         days = last_jd - first_jd - t_s[-1] / DAY_S
     if days < 0:
         raise InputError("the table of positions is shorter than a pass", got=f"{t_s[-1]:.0f} s")
-    for _ in range(TRIES):
+    for _ in range(MOST_TRIES):
         epoch = utc_from_jd(first_jd + days * rng.uniform())
         try:
             orbit = in_orbit(sources, epoch, t_s)
-        except InputError:  # a gap of the table
+        except InputError:
+            # the time is in a gap of the table
             continue
         surroundings = orbit.at(t_s)
-        assert surroundings.lit is not None  # an orbit knows it
-        if (surroundings.lit > LIT).mean() >= LEAST_SUNLIT:
+        assert surroundings.lit is not None
+        if (surroundings.lit > LIT_FRACTION).mean() >= LEAST_SUNLIT:
             return orbit, surroundings
     raise InputError(
         "no pass of this length is half in sunlight",
@@ -278,20 +267,22 @@ def _sunlit_orbit(
 
 def _readings(
     vehicle: Vehicle,
-    of_sun: np.ndarray,
+    sunlight: np.ndarray,
     earth_B: np.ndarray,
     bits: int | None,
     rng: np.random.Generator,
 ) -> np.ndarray:
-    """Return the readings (n, n_input) of panels with errors, from the exact signals of the Sun (n, n_input).
+    """Return the readings (n, n_input) of panels with noise, gain errors and, with `bits`, rounding.
 
-    `earth_B` (n, 3): light of the Earth in parts of full Sun, body axes. Errors are noise, gains and, with `bits`, rounding.
+    `sunlight` (n, n_input): exact signals of the Sun at a scale of one; `earth_B` (n, 3): vector to the light of the Earth, as long
+    as that light in parts of full Sun, body axes.
     """
     size = np.linalg.norm(earth_B, axis=1)
     to_earth = earth_B / np.where(size > 0, size, 1.0)[:, None]
     scale = full_signal_scale(vehicle)
-    exact = scale * (of_sun + panel_power(vehicle, to_earth) * size[:, None])
-    full = scale * np.max(panel_power(vehicle, vehicle.panel_normals_B), axis=0)  # of each input
+    exact = scale * (sunlight + panel_power(vehicle, to_earth) * size[:, None])
+    # largest signal of each input
+    full = scale * np.max(panel_power(vehicle, vehicle.panel_normals_B), axis=0)
     noise = NOISE * full if vehicle.input_noise is None else vehicle.input_noise
     gain = 1 + GAIN_ERROR * rng.standard_normal(exact.shape[1])
     read = np.maximum(exact * gain + noise * rng.standard_normal(exact.shape), 0.0)

@@ -404,7 +404,7 @@ class Fitting:
         value = self.problem.of_panels(linear.value)
         if panels.time_s:
             # with the best errors of times residuals are smaller than the noise
-            taken = panels.taken_by_times(states_of(linear.track), u[:, own])
+            taken = panels.freedom_of_times(states_of(linear.track), u[:, own])
             fitted_freedom = fitted_freedom + taken
         u[:, own] = panels.best_noise(value, u[:, own], fitted_freedom, least)
         self.motions = replace(self.motions, u=u)

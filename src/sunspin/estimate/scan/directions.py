@@ -1,4 +1,4 @@
-"""The directions to the Sun that a scan compares: the measured ones of a window, and the simulated ones that could be measured.
+"""Directions to the Sun that a scan compares: measured ones, and simulated ones from which the panels would give a direction.
 
 A simulated direction is counted only if the panels would have allowed to reconstruct it (paper, section 2.3).
 """
@@ -17,44 +17,37 @@ from sunspin.vehicle.response.planes import DirectionSet
 
 
 def reconstructible_mask(vehicle: Vehicle) -> DirectionSet:
-    """Return the set of Sun directions that the vehicle's panels allow to reconstruct.
+    """Return the set of Sun directions that can be reconstructed from the readings of the vehicle's panels.
 
-    The rule of the telemetry says which sets of lit panels suffice. The response of the panels turns it into data that the
-    compiled scan evaluates at every step: a short logical formula of half-spaces, or a table over the sphere.
+    Which illumination patterns (sets of lit panels) suffice follows from the rules for telemetry. The result is data that the
+    compiled scan evaluates at every step: a logical formula of half-spaces, or a table over the sphere.
     """
     names = vehicle.input_names
     reconstructible = reconstructible_patterns(vehicle)
     patterns = [frozenset(pattern) for pattern in lit_patterns(vehicle)]
-    good = [pattern for pattern in patterns if pattern in reconstructible]
-    bad = [pattern for pattern in patterns if pattern not in reconstructible]
-    if not good:
+    sufficient = [pattern for pattern in patterns if pattern in reconstructible]
+    insufficient = [pattern for pattern in patterns if pattern not in reconstructible]
+    if not sufficient:
         raise InputError(
             f"no direction of the Sun can be reconstructed with the panels of {vehicle.name!r}",
             do="three lit panels with independent normals are needed somewhere",
         )
 
     def lit(patterns: list[frozenset[str]]) -> np.ndarray:
-        """Return which inputs (n_pattern, n_input) each pattern has lit; n_pattern may be 0."""
+        """Return which inputs are lit in each pattern (n_pattern, n_input); n_pattern may be 0."""
         rows = [[name in pattern for name in names] for pattern in patterns]
         return np.array(rows, dtype=bool).reshape(-1, len(names))
 
-    return vehicle.response_in().direction_set(lit(good), lit(bad))
+    return vehicle.response_in().direction_set(lit(sufficient), lit(insufficient))
 
 
 def directions_within(
-    vehicle: Vehicle,
-    telemetry: xr.Dataset | Assessment,
-    begin_s: float | None,
-    end_s: float | None,
+    vehicle: Vehicle, telemetry: xr.Dataset | Assessment, begin_s: float | None, end_s: float | None
 ) -> xr.Dataset:
     """Return the directions `sun_B (time, axis)` measured from `begin_s` to `end_s` (s of the file's clock; None: no limit).
 
-    Samples without a direction are left out. `time` (s) is counted from the first direction.
-
-    Raises
-    ------
-    InputError
-        Fewer than two samples of the window give a direction.
+    Samples without a direction are left out. `time` (s) is counted from the first direction. Raises `InputError` if fewer than two
+    samples of the window give a direction.
     """
     assessment = assess(vehicle, telemetry)
     sun = assessment.sun
@@ -77,9 +70,9 @@ def directions_within(
 
 
 def target_weights(rule: str, t_s: np.ndarray) -> np.ndarray | None:
-    """Return the weights (n) in the measured distribution of directions at the times t_s (n), s.
+    """Return the weights (n) of the samples at the times t_s (n), s, in the measured distribution of directions; None: all equal.
 
-    `rule` "equal": None, all weigh the same; "interval": half the interval to the previous sample and half that to the next.
+    `rule`: "equal", or "interval": half the interval to the previous sample plus half the interval to the next one.
     """
     if rule == "equal" or len(t_s) < 2:
         return None

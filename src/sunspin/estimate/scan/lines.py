@@ -1,8 +1,9 @@
-"""Straight lines through a cloud of points of which it is not known which point belongs to which line.
+"""Fit of several straight lines to a cloud of points, when it is not known which point belongs to which line.
 
-The fit minimises the sum of distances (not squared) of the points to their nearest line, as the paper fits its four lines to the
-near-minimum set (section 2.3). Candidates are lines through pairs of points. A search from many starts selects the few of them that
-fit best together (a facility-location problem). Then points are assigned to lines and lines fitted to their points, in turn.
+The fit minimises the sum of distances (not squared) of the points from their nearest line, as the paper fits its four lines to the
+near-minimum set (section 2.3). Candidates are lines through pairs of points. A search from many starts selects the set of
+candidates that fits best (a facility-location problem). Then points are assigned to lines and lines fitted to their points, in
+turn. Lines are given by a point ("origin") and a unit direction each. Points are body rates (rad/s).
 """
 
 from __future__ import annotations
@@ -21,20 +22,17 @@ from sunspin.base.provenance import provenance
 Line = tuple[np.ndarray, np.ndarray]
 """A point of the line and its unit direction, (3) each."""
 
-ALL_PAIRS = 60
-"""In a cloud of at most this many different points every pair gives a candidate line, in a larger one random pairs."""
-
-RANDOM_PAIRS = 4096
-"""Number of these random pairs."""
+ALL_PAIRS, RANDOM_PAIRS = 60, 4096
+"""With at most this many different points each pair gives a candidate line, otherwise this number of random pairs."""
 
 N_CANDIDATES, N_SEARCH_POINTS = 400, 800
 """Largest numbers of candidate lines and of points in the search. The refinement uses all points."""
 
-SEARCH_WORK = 6_000_000
-"""Point-line distances of all starts of the search together: a small cloud is cheap, and needs many starts most."""
+SEARCH_DISTANCES = 6_000_000
+"""Number of point-line distances in the search. It sets the number of starts: small clouds are cheap and need more of them."""
 
 MIN_STARTS, MAX_STARTS = 12, 100
-"""Limits of the number of starts."""
+"""Limits of the number of starts of the search."""
 
 N_REFINED = 4
 """Number of the best sets of candidates that are refined. Their order may change: all candidates are lines through two points."""
@@ -85,7 +83,8 @@ def fit_lines(points: npt.ArrayLike, n_lines: int = 4, seed: int = 0) -> xr.Data
             got=len(np.unique(cloud, axis=0)),
             do="take a larger near-minimum set or fewer lines",
         )
-    ordered = cloud[np.lexsort(cloud.T)]  # so that the order of the points does not matter
+    # sorted, so that the result does not depend on the order of the points
+    ordered = cloud[np.lexsort(cloud.T)]
     best, best_cost = None, np.inf
     for candidates in _search(ordered, n_lines, np.random.default_rng(seed)):
         lines = _refine(ordered, *candidates)
@@ -97,7 +96,7 @@ def fit_lines(points: npt.ArrayLike, n_lines: int = 4, seed: int = 0) -> xr.Data
 
 
 def _candidates(cloud: np.ndarray, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
-    """Return lines (points and directions, (m, 3) each) through pairs of different points."""
+    """Return the points and directions, (m, 3) each, of candidate lines through pairs of different points of the cloud (n, 3)."""
     distinct = np.unique(cloud, axis=0)
     if len(distinct) <= ALL_PAIRS:
         first, second = np.triu_indices(len(distinct), 1)
@@ -115,18 +114,21 @@ def _search(
 ) -> list[tuple[np.ndarray, np.ndarray]]:
     """Return the `N_REFINED` best sets of candidate lines, best first, each as points and directions (n_lines, 3).
 
-    One start is greedy and the others are random. Each is improved by exchanges of one line as long as they help.
+    The first start is greedy, the others are random. Each is improved by exchanges of one candidate (`_exchanged`).
     """
     sample = cloud
     if len(cloud) > N_SEARCH_POINTS:
         sample = cloud[rng.choice(len(cloud), N_SEARCH_POINTS, replace=False)]
     origin, direction = _candidates(cloud, rng)
-    cost = distances(sample, origin, direction)  # (candidates, points)
-    n_starts = int(np.clip(SEARCH_WORK // cost.size, MIN_STARTS, MAX_STARTS))
+    # distances (m, n) of n points from m candidates
+    cost = distances(sample, origin, direction)
+    # as many starts as keep the number of distances in the search below a limit
+    n_starts = int(np.clip(SEARCH_DISTANCES // cost.size, MIN_STARTS, MAX_STARTS))
     starts = [_greedy(cost, n_lines)] + [
         rng.integers(len(cost), size=n_lines).tolist() for _ in range(n_starts - 1)
     ]
-    total: dict[tuple[int, ...], float] = {}  # sum of distances by the set of candidates
+    # sum of distances for each set of candidates that a start reaches
+    total: dict[tuple[int, ...], float] = {}
     for start in starts:
         chosen = tuple(sorted(_exchanged(cost, start)))
         total[chosen] = float(cost[list(chosen)].min(axis=0).sum())
@@ -135,7 +137,7 @@ def _search(
 
 
 def _greedy(cost: np.ndarray, n_lines: int) -> list[int]:
-    """Return candidates chosen one after the other, each lowering the sum of distances most.
+    """Return candidates (indices) chosen one after the other, each of which reduces the sum of distances most.
 
     `cost` (m, n): distances of n points from m candidates.
     """
@@ -148,7 +150,7 @@ def _greedy(cost: np.ndarray, n_lines: int) -> list[int]:
 
 
 def _exchanged(cost: np.ndarray, chosen: list[int]) -> list[int]:
-    """Return the chosen candidates after exchanges of one for any other, as long as one lowers the sum of distances.
+    """Return the chosen candidates (indices) after exchanges of single ones, until no exchange reduces the sum of distances.
 
     `cost` (m, n): distances of n points from m candidates.
     """
@@ -156,7 +158,8 @@ def _exchanged(cost: np.ndarray, chosen: list[int]) -> list[int]:
     while unchanged < len(chosen):
         others = [candidate for k, candidate in enumerate(chosen) if k != slot]
         to_others = cost[others].min(axis=0) if others else np.full(cost.shape[1], np.inf)
-        totals = np.minimum(cost, to_others).sum(axis=1)  # with each candidate (m) in this slot
+        # sum of distances with each of the m candidates in this slot
+        totals = np.minimum(cost, to_others).sum(axis=1)
         best = int(np.argmin(totals))
         better = totals[best] < totals[chosen[slot]] * (1 - TOLERANCE)
         if better:
@@ -169,16 +172,20 @@ def _exchanged(cost: np.ndarray, chosen: list[int]) -> list[int]:
 def _refine(
     cloud: np.ndarray, origin: np.ndarray, direction: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return lines refined by alternation until nothing changes: assign points to the nearest line, fit each line to its points."""
+    """Return the points and directions (n_lines, 3) of refined lines.
+
+    Points (n, 3) are assigned to the nearest line and lines are fitted to their points, in turn, until no point changes its line.
+    """
     origin, direction = origin.copy(), direction.copy()
     member = np.full(len(cloud), -1)
     for _ in range(MAX_ROUNDS):
         before, member = member, distances(cloud, origin, direction).argmin(axis=0)
         moved = before != member
-        changed = np.unique(np.concatenate([before[moved], member[moved]]))  # lines
+        # lines that have lost or gained a point; -1 before the first assignment is none
+        changed = np.unique(np.concatenate([before[moved], member[moved]]))
         if changed.size == 0:
             break
-        for k in changed[changed >= 0]:  # before the first assignment there is none, -1
+        for k in changed[changed >= 0]:
             members = cloud[member == k]
             if len(members) >= 2:
                 origin[k], direction[k] = line_through(members, origin[k], direction[k])
@@ -188,14 +195,14 @@ def _refine(
 def line_through(
     points: np.ndarray, origin: np.ndarray, direction: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the line (point, direction) with the smallest sum of distances d to points (n, 3) near a guess, or the guess itself.
+    """Return the line (point, direction) near a guess with the smallest sum of distances d from points (n, 3), or the guess.
 
-    The method is iteratively reweighted least squares for the sum of sqrt(d^2 + s^2). The smoothing length s falls by halves from
-    the width of the cloud about the guess. Without smoothing, a guess through two of the points would never leave them, because
+    The method is iteratively reweighted least squares for the sum of sqrt(d^2 + s^2). The smoothing length s is halved in each
+    step, from the width of the cloud about the guess. Without it, a guess through two of the points would never leave them, because
     their weights 1/d are infinite.
     """
     distance = distances(points, origin[None], direction[None])[0]
-    least, best = distance.sum(), (origin, direction)
+    best_cost, best = distance.sum(), (origin, direction)
     smoothing = float(distance.max())
     if smoothing <= 0:
         return best
@@ -204,12 +211,12 @@ def line_through(
         weight = 1.0 / np.hypot(distance, smoothing)
         centre = weight @ points / weight.sum()
         offset = points - centre
-        # the eigenvector of the largest eigenvalue: along the weighted points
+        # along the weighted points: the eigenvector of the largest eigenvalue
         axis = np.linalg.eigh((weight[:, None] * offset).T @ offset)[1][:, -1]
         distance = distances(points, centre[None], axis[None])[0]
         cost = distance.sum()
-        if cost < least:
-            least, best = cost, (centre, axis)
+        if cost < best_cost:
+            best_cost, best = cost, (centre, axis)
         if smoothing <= floor and previous - cost < TOLERANCE * cost:
             break
         previous, smoothing = cost, max(smoothing / 2, floor)
@@ -217,11 +224,14 @@ def line_through(
 
 
 def _dataset(points: np.ndarray, origin: np.ndarray, direction: np.ndarray) -> xr.Dataset:
-    """Return the Dataset of `fit_lines` for points (n, 3) and lines (n_lines, 3), which are ordered, centred and oriented here."""
+    """Return the Dataset of `fit_lines` for points (n, 3) and lines (n_lines, 3).
+
+    The lines are put in order; their points are centred and their directions get the sign that `fit_lines` documents.
+    """
     distance = distances(points, origin, direction)
     member = distance.argmin(axis=0)
     counts = np.bincount(member, minlength=len(origin))
-    # lines in order of decreasing count, numbered again
+    # lines in order of decreasing count; `rank` (n_lines): new number of each
     order = np.lexsort((*origin.T, -counts))
     rank = np.argsort(order)
     origin, direction, counts = origin[order], direction[order], counts[order]
@@ -249,7 +259,7 @@ def _dataset(points: np.ndarray, origin: np.ndarray, direction: np.ndarray) -> x
 def point_at(
     origin: np.ndarray, direction: np.ndarray, axis: int, value: npt.ArrayLike
 ) -> np.ndarray:
-    """Return the points (..., 3) of a line at which the component `axis` has the values (...)."""
+    """Return the points (..., 3) of a line at which the component `axis` (0, 1 or 2) has the values `value` (...)."""
     step = (np.asarray(value, dtype=np.float64) - origin[axis]) / direction[axis]
     return origin + step[..., None] * direction
 
@@ -257,9 +267,9 @@ def point_at(
 def line_deviation(
     line_a: Line, line_b: Line, axis: int = 2, low: float = -0.2, high: float = 0.3
 ) -> dict[str, float]:
-    """Return the angle between two lines (`angle_rad`), and the `mean` and `max` distance over a range of one component.
+    """Return the angle between two lines (`angle_rad`), and the `mean` and `max` distance of a piece of one from the other.
 
-    Distances are from points of `line_b`, at which the component `axis` lies between `low` and `high`, to `line_a`.
+    The distances are those of points of `line_b`, at which the component `axis` is between `low` and `high`, from `line_a`.
     """
     (point_a, dir_a), (point_b, dir_b) = [
         (np.asarray(point, float), np.asarray(along, float)) for point, along in (line_a, line_b)
@@ -272,16 +282,15 @@ def line_deviation(
             do="choose another axis",
         )
     angle = np.arctan2(np.linalg.norm(np.cross(dir_a, dir_b)), abs(dir_a @ dir_b))
-    apart = distances(
-        point_at(point_b, dir_b, axis, np.linspace(low, high, 101)), point_a[None], dir_a[None]
-    )[0]
-    return {"angle_rad": float(angle), "mean": float(apart.mean()), "max": float(apart.max())}
+    piece = point_at(point_b, dir_b, axis, np.linspace(low, high, 101))
+    distance = distances(piece, point_a[None], dir_a[None])[0]
+    return {"angle_rad": float(angle), "mean": float(distance.mean()), "max": float(distance.max())}
 
 
 def match_lines(fitted: xr.Dataset, reference: Sequence[Line], **options: Any) -> list[int]:
-    """Return the index of the fitted line that belongs to each reference line, with the smallest sum of distances of all pairs.
+    """Return for each reference line the index of its fitted line: the assignment with the smallest sum of mean distances.
 
-    `options` are those of :func:`line_deviation`. Its mean distance is the distance of a pair.
+    `fitted`: lines of `fit_lines`; `options`: keyword arguments of :func:`line_deviation`, which gives the mean distances.
     """
     lines = list(zip(fitted["point"].values, fitted["direction"].values, strict=True))
     if len(lines) < len(reference):

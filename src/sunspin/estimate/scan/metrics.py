@@ -1,4 +1,4 @@
-"""Distances between a simulated and a measured track of the Sun: E of directions (paper, eq. 12), EMD of r_z (eq. 13)."""
+"""Distances between a simulated and a measured track of Sun directions: E (paper, eq. 12), and EMD of z components (eq. 13)."""
 
 from __future__ import annotations
 
@@ -43,7 +43,8 @@ def direction_error(
     if not np.all(np.any(known, axis=-1)):
         raise InputError("the measured track holds no direction to compare with")
     product = np.einsum("...i,...i->...", sim, np.where(known[..., None], meas, 0.0))
-    cosine = np.where(known, product, 0.0)  # also where the simulated direction is NaN
+    # zero also where only the simulated direction is NaN
+    cosine = np.where(known, product, 0.0)
     count = np.broadcast_to(known, cosine.shape).sum(axis=-1)
     error = (1.0 - cosine.sum(axis=-1) / count) / 2
     return float(error) if np.ndim(error) == 0 else error
@@ -101,12 +102,8 @@ def _weights(weights: npt.ArrayLike | None, z: np.ndarray, name: str) -> np.ndar
     if weights is None:
         return None
     values = np.asarray(weights, dtype=np.float64).ravel()
-    if (
-        values.shape != z.shape
-        or not np.all(values >= 0)
-        or not np.isfinite(values).all()
-        or values.sum() == 0
-    ):
+    valid = values.shape == z.shape and np.all(values >= 0) and np.isfinite(values).all()
+    if not valid or values.sum() == 0:
         raise InputError(
             f"{name} must give one value >= 0 per z component, not all zero", got=values.shape
         )

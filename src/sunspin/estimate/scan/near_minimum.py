@@ -43,9 +43,9 @@ def near_minimum(emd: xr.DataArray, factor: float = 1.1) -> np.ndarray:
 
 def below(emd: xr.DataArray, threshold: float) -> np.ndarray:
     """Return the grid points (n, 3) in rad/s with EMD below a threshold. Rows that could not be computed are left out."""
-    points = np.nonzero(_computed(emd) < threshold)
-    axes = [emd[rate].values for rate in RATES]
-    return np.stack([axis[i] for axis, i in zip(axes, points, strict=True)], axis=-1)
+    indices = np.nonzero(_computed(emd) < threshold)
+    rates = [emd[rate].values[i] for rate, i in zip(RATES, indices, strict=True)]
+    return np.stack(rates, axis=-1)
 
 
 def _computed(emd: xr.DataArray) -> np.ndarray:
@@ -65,21 +65,9 @@ def with_near_minimum(
 ) -> xr.Dataset:
     """Return a scan with its near-minimum set, and with the lines of :func:`sunspin.fit_lines` through it, for `sunspin scan`.
 
-    The set is the variable `near_minimum (near_point, rate_axis)`, rad/s.
-
-    Parameters
-    ----------
-    volume : DataArray over omega_x, omega_y, omega_z
-        As returned by `scan`: EMD or E.
-    factor, threshold : float
-        The set holds motions within `factor` times the smallest value, or below `threshold` if it is given.
-    n_lines, seed : int
-        Number of lines, and the seed of their fit. There are no lines if the set has fewer than two points for each.
-
-    Raises
-    ------
-    InputError
-        No motion is below the threshold.
+    The set is the variable `near_minimum (near_point, rate_axis)`, rad/s. It contains the motions whose value in `volume`, an EMD
+    or E as returned by `scan`, is within `factor` times the smallest value, or below `threshold` if that is given. `seed`: of the
+    fit of lines. There are no lines if the set has fewer than two points for each. Raises `InputError` if the set is empty.
     """
     points = near_minimum(volume, factor) if threshold is None else below(volume, threshold)
     if not len(points):
@@ -94,7 +82,7 @@ def with_near_minimum(
     )
     if n_lines and len(points) >= 2 * n_lines:
         lines = fit_lines(points, n_lines, seed=seed)
-        # the components of a line have an axis of their own, and the points are those of the set; attributes stay those of the scan
+        # Lines get dimensions that do not clash with those of the set, except for its points. The attributes remain the scan's.
         lines = lines.rename({"axis": "line_axis", "n": "near_point"})
         scan = scan.merge(lines, combine_attrs="override")
     of_vehicle = {key: volume.attrs[key] for key in ("vehicle", "changes") if key in volume.attrs}
@@ -102,9 +90,9 @@ def with_near_minimum(
 
 
 def stored_vehicle(path: Path) -> dict[str, str]:
-    """Return the name of the vehicle of a stored scan, and its `changes` if there were any; empty if there is no such file.
+    """Return the attributes `vehicle` (name) and `changes` (if there were any) of a stored scan; empty if there is no such file.
 
-    Changes of the study's assumptions are left out: the vehicle does not have them.
+    Changes of the assumptions of a study, which are not part of the vehicle, are left out.
     """
     if not path.is_file():
         return {}
@@ -118,10 +106,7 @@ def stored_vehicle(path: Path) -> dict[str, str]:
 def stored_near_minimum(path: Path, factor: float) -> np.ndarray:
     """Return the body rates (n, 3), rad/s, within `factor` times the smallest value of a stored scan.
 
-    Raises
-    ------
-    InputError
-        The file does not exist, is not a scan, or is damaged.
+    Raises `InputError` if the file does not exist, is not a scan, or is damaged.
     """
     if not path.is_file():
         raise InputError(

@@ -1,6 +1,6 @@
-"""The rows of a scan: an initial state on a grid of rates each, and the number that a scan keeps of its motion.
+"""Rows of a scan: each is a motion with an initial state on a grid of body rates, of which the scan keeps one quantity.
 
-All are frozen data without compiled code, so that they can be sent to other processes.
+All classes are frozen data without compiled code, so that they can be sent to other processes.
 """
 
 from __future__ import annotations
@@ -30,19 +30,16 @@ TRACK_ERROR = 1e-3
 
 @dataclass(frozen=True)
 class Start:
-    """Initial states: each combination of three axes of body rates (rad/s), all with one Sun direction and one set of wheel speeds.
+    """Initial states on a grid of body rates, all with the same Sun direction and wheel speeds.
 
     Attributes
     ----------
-    omega_x, omega_y, omega_z : (n_x), (n_y), (n_z) rad/s
-    sun_B : (3)
-        Direction to the Sun, body axes.
+    omega_x, omega_y, omega_z : (n_x), (n_y), (n_z) rad/s, axes of the grid
+    sun_B : (3), direction to the Sun, body axes
     wheel_speed_rad_s : (n_wheel)
     acting : torques on the body
-    B_from_N : (4)
-        Attitude, scalar last, which only torques need.
-    bodies : (m), optional
-        Bodies in place of the vehicle's own. Each begins at each rate, so they are the last axis of the grid.
+    B_from_N : (4), attitude as a quaternion, scalar last; needed only with torques
+    bodies : (m), bodies in place of the vehicle's own, which are the last axis of the grid; None: the vehicle's
     """
 
     omega_x: np.ndarray
@@ -64,14 +61,10 @@ class Start:
         acting: Acting = NOTHING,
         B_from_N: npt.ArrayLike | None = None,
     ) -> Start:
-        """Return the states on a grid with the axes (omega_x, omega_y, omega_z), after a check of the arguments.
+        """Return the states on a grid with `axes` (omega_x, omega_y, omega_z), rad/s, after a check of the arguments.
 
-        Raises
-        ------
-        InputError
-            `sun_B` is not a unit vector.
-        MotionError
-            The speeds do not fit the wheels, or the attitude does not fit the direction.
+        Raises `InputError` if `sun_B` is not a unit vector, and `MotionError` if the speeds do not fit the wheels or the attitude
+        does not fit the direction.
         """
         sun = np.asarray(sun_B, dtype=np.float64)
         if sun.shape != (3,) or not abs(np.linalg.norm(sun) - 1) <= SUN_LENGTH_TOLERANCE:
@@ -95,6 +88,7 @@ class Start:
         return rates if self.bodies is None else (*rates, *self.bodies.shape)
 
     def __len__(self) -> int:
+        """Return the number of states."""
         return int(np.prod(self.shape))
 
     def take(self, index: np.ndarray) -> batch.Rows:
@@ -116,7 +110,7 @@ class Measure(NamedTuple):
     ----------
     histogram : True if it is computed from a histogram of r_z (`batch.Heights`), False if from directions (`batch.Motion`)
     dtype, shape : type and shape of the quantity of one motion
-    compute : function of n motions run together and the scan's target that returns the quantities (n, *shape)
+    compute : function of the results of n motions and of the scan's target that returns the quantities (n, *shape)
     """
 
     histogram: bool
@@ -130,18 +124,19 @@ MEASURES = {
     "hist": Measure(True, "float32", (BINS,), lambda run, _: run.seconds),
     "E": Measure(False, "float64", (), lambda run, sun_B: direction_error(run.sun_B, sun_B)),
 }
-"""EMD to a target (paper, eq. 13), the histogram itself (s), E against directions (eq. 12)."""
+"""Quantities by name: EMD to a target (paper, eq. 13), the histogram of r_z itself (s in each bin), E to directions (eq. 12)."""
 
 
 @dataclass(frozen=True)
 class ScanRows:
-    """The function of `compute.rows.ensemble` that runs motions of a grid and keeps a measure of each, and its outcome.
+    """All motions of a grid, for `compute.rows.ensemble`: a call runs some of them and returns one measure and the outcome of each.
 
     Attributes
     ----------
-    t_s : length of the run in s; for E the times (n) of the directions, after the start
+    wheel_mode : "coast", "hold", "brake", or one for each wheel
+    t_s : length of the run in s; for E the times (n) of the directions, s after the start
     measure : a name in `MEASURES`
-    target : what motions are compared with: for EMD the result of `target_segments`, for E the directions (n, 3), else None
+    target : data to which motions are compared: for EMD the result of `target_segments`, for E the directions (n, 3), else None
     mask : directions that count in a histogram: "reconstructible", or None for all
     emd_error, direction_error : allowed error of the EMD, or of the Sun direction at the end (rad). If neither is given, it is 1e-3
         of the EMD, or 1e-3 rad for E.
@@ -160,6 +155,7 @@ class ScanRows:
     condition: DirectionSet | None = field(init=False)
 
     def __post_init__(self) -> None:
+        """Check the options, and set the default error and the condition of the mask."""
         if self.mask not in ("reconstructible", None):
             raise InputError('mask must be "reconstructible" or None', got=self.mask)
         batch.one_command(self.vehicle, self.wheel_mode)
@@ -174,7 +170,7 @@ class ScanRows:
 
     @property
     def outputs(self) -> dict[str, tuple[str, tuple[int, ...]]]:
-        """Return type and shape of the results of one motion, by name."""
+        """Return the dtype and the shape of each result of one motion, by name."""
         measure = MEASURES[self.measure]
         return {self.measure: (measure.dtype, measure.shape), "outcome": ("int8", ())}
 
@@ -184,7 +180,7 @@ class ScanRows:
         return len(self.start)
 
     def __call__(self, index: np.ndarray) -> dict[str, np.ndarray]:
-        """Run the motions of the rows `index` (n) and return their results, by name."""
+        """Run the motions of the rows `index` (n) and return their measure and outcome (n, ...), by name."""
         states, acting = self.start.take(index), self.start.acting
         run: batch.Heights | batch.Motion
         measure = MEASURES[self.measure]
@@ -202,21 +198,16 @@ class ScanRows:
         else:
             error = TRACK_ERROR if self.direction_error is None else self.direction_error
             run = batch.run(
-                self.vehicle,
-                states,
-                self.t_s,
-                command=self.wheel_mode,
-                error=error,
-                acting=acting,
+                self.vehicle, states, self.t_s, command=self.wheel_mode, error=error, acting=acting
             )
         values = measure.compute(run, self.target)
         return {self.measure: values, "outcome": run.outcome.astype(np.int8)}
 
 
 def track_rows(vehicle: Vehicle, start: Start, track: xr.Dataset, **options: Any) -> ScanRows:
-    """Return the rows that compare motions by E with a track: `sun_B (time, axis)` at `time`, s after the start.
+    """Return the rows that compare motions by E with a track, a Dataset with `sun_B (time, axis)` at `time`, s after the start.
 
-    Samples without a direction are left out. `options` are fields of `ScanRows`.
+    Samples without a direction are left out. `options`: further fields of `ScanRows`.
     """
     sun_B = np.asarray(track["sun_B"], dtype=np.float64)
     known = np.all(np.isfinite(sun_B), axis=1)

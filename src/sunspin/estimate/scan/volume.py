@@ -1,11 +1,11 @@
-"""The scan: a grid of initial rates, and the distance of each simulated Sun track from the measured one.
+"""Scan of initial body rates: a grid of motions, and the distance of each simulated track of Sun directions from the measured one.
 
-There are two distances, as in the paper. EMD compares the distributions of r_z (eq. 13), which compiled code accumulates without
-storing a track. E is the mean misfit of directions at the times of the samples (eq. 12).
+There are two distances, as in the paper. EMD compares the distributions of r_z, the z component of the Sun direction (eq. 13).
+Compiled code accumulates them without storing a track. E is the mean misfit of directions at the times of the samples (eq. 12).
 
-`scan` runs each motion for one target. `make_table` keeps the histogram of r_z of every motion: it does not depend on what was
-measured. The EMD to a target then takes a microsecond a motion, a fiftieth of the motion itself. So many targets (simulated cases,
-thresholds, resampled telemetry) take little longer than one scan.
+`scan` runs each motion for one target, the measured directions. `make_table` keeps the histogram of r_z of each motion, which does
+not depend on the measurement. The EMD to a target then takes a microsecond a motion, a fiftieth of the motion itself. So many
+targets (simulated cases, thresholds, resampled telemetry) take little longer than one scan.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ MAX_ROWS = 50_000_000
 """Larger grids are refused."""
 
 SECONDS_PER_ROW, BYTES_PER_ROW = 1e-4, 30
-"""Rough time and memory of a motion: 42 to 189 microseconds of a core for 45 min of Philae, and two results with their copies."""
+"""Rough time (s) and memory of a motion: 45 min of Philae take 42 to 189 microseconds of a core; two results with their copies."""
 
 RATES = ("omega_x", "omega_y", "omega_z")
 """Dimensions of a volume."""
@@ -42,17 +42,14 @@ RATES = ("omega_x", "omega_y", "omega_z")
 
 @dataclass(frozen=True)
 class Propagation:
-    """How the motions of a scan are propagated.
+    """Options of the propagation of a scan's motions.
 
     Attributes
     ----------
-    wheel_mode : "coast", "hold", "brake", or one per wheel.
-    direction_error : rad
-        Allowed error of the simulated Sun direction at the end, instead of `emd_error`. Default for a track: 1e-3.
-    environment, torques, B_from_N
-        As in :func:`sunspin.propagate`.
-    start_s : s
-        Start of the motions, on the environment's clock.
+    wheel_mode : "coast", "hold", "brake", or one per wheel
+    direction_error : rad, allowed error of the simulated Sun direction at the end, in place of `emd_error`; for a track 1e-3
+    environment, torques, B_from_N : as in :func:`sunspin.propagate`
+    start_s : s, start of the motions on the environment's clock
     """
 
     wheel_mode: str | Sequence[str] = "coast"
@@ -125,7 +122,7 @@ def scan(
         _axis(values, name) for values, name in zip((omega_x, omega_y, omega_z), RATES, strict=True)
     ]
     check_size(*(len(axis) for axis in axes))
-    # Leave out parts on which neither motion nor light depend. So rows in a store stay valid if only such parts change.
+    # Parts on which neither motion nor light depend are left out, so that a stored scan stays valid if only they change.
     landing = {"mass_kg": None, "legs": (), "hull": (), "antenna": None}
     body = replace(vehicle, **landing, facts={}, changes=())
     torques = acting(propagation.torques, propagation.environment, propagation.start_s)
@@ -163,9 +160,9 @@ def scan(
 def as_volume(
     vehicle: Vehicle, rows: ScanRows, name: str, values: dict[str, np.ndarray], directions: int
 ) -> xr.DataArray:
-    """Return a measure of all rows of a grid with their outcomes, as `scan` returns it.
+    """Return the measure `name` of all rows over the grid of rates with their outcomes, as `scan` returns it.
 
-    `values`: arrays by name of all rows, among them `name` and "outcome". `directions`: number of measured directions.
+    `values`: arrays (n_row) by name, among them `name` and "outcome"; `directions`: number of measured directions.
     """
     start = rows.start
     axes = {rate: (rate, getattr(start, rate), {"units": "rad s-1"}) for rate in RATES}
@@ -189,7 +186,7 @@ def as_volume(
 
 
 def check_size(*points: float) -> None:
-    """Raise `InputError` for a grid of more than `MAX_ROWS` points, with its cost. `points`: number along each axis."""
+    """Raise `InputError`, with the cost, for a grid of more than `MAX_ROWS` points. `points`: number of points along each axis."""
     n_rows = math.prod(float(n) for n in points)
     if n_rows > MAX_ROWS:
         hours, memory = n_rows * SECONDS_PER_ROW / 3600, n_rows * BYTES_PER_ROW / 1e9
@@ -215,7 +212,7 @@ def _axis(values: npt.ArrayLike, name: str) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Histograms:
-    """The histograms `hist` (n, BINS), in s, and outcomes (n) of the motions of a grid; 1 kB a motion."""
+    """Histograms of r_z, `hist` (n, BINS) in s, and `outcome` (n) of the n motions `rows` of a grid; 1 kB for each motion."""
 
     rows: ScanRows
     hist: np.ndarray
@@ -224,7 +221,7 @@ class Histograms:
     def distances(
         self, target_z: npt.ArrayLike, weights: npt.ArrayLike | None = None, workers: int = 1
     ) -> np.ndarray:
-        """Return the EMD (n) of every motion to measured z components (m), by the same arithmetic as `scan`."""
+        """Return the EMD (n) of each motion to measured z components (m), by the same arithmetic as `scan`."""
         return distances_to_target(self.hist, target_segments(target_z, weights), workers)
 
     def volume(
@@ -246,18 +243,10 @@ def make_table(
     workers: int | None = None,
     progress: bool = False,
 ) -> Histograms:
-    """Run every motion of a grid once and return the histograms of r_z.
+    """Run each motion of a grid once and return the histograms of r_z.
 
-    Parameters
-    ----------
-    sun_B : (3,)
-        Direction to the Sun at the start, body axes.
-    axes : omega_x, omega_y, omega_z -> 1-D, rad/s
-    wheel_speed_rad_s : number, (n_wheel,) or None
-    duration_s : s
-    mask : "reconstructible", or None: all directions count
-    workers, progress
-        As in :func:`sunspin.compute.rows.ensemble`.
+    `axes`: the grid, 1-D rates (rad/s) by the names omega_x, omega_y, omega_z. `duration_s`: length of the runs, s. The other
+    parameters are those of `scan`.
     """
     grid = [np.asarray(axes[rate], dtype=np.float64) for rate in RATES]
     start = Start.on_grid(vehicle, grid, sun_B, wheel_speed_rad_s)

@@ -1,4 +1,7 @@
-"""The direction to the Sun in body axes, as a Sun sensor or another program gives it."""
+"""Term of measured Sun directions in body axes, as a Sun sensor or another program gives them.
+
+Shapes: K motions, n samples. A turn is a small rotation of the body, as a rotation vector in body axes B (rad).
+"""
 
 from __future__ import annotations
 
@@ -21,10 +24,10 @@ SECOND_MEANING = {"sun_sensor": ("sun_sensor_other_B", "sun_sensor_other_cov_B")
 """Source -> variables with the direction that a reading may mean as well."""
 
 RADIAL_SIGMA = 0.02
-"""Sigma that is given to a direction's length, about which a covariance says nothing."""
+"""Sigma of the length of a unit vector, which makes its singular covariance invertible."""
 
-SHARP_RAD = 0.15
-"""A direction is a point to start from if its rms sigma is below this."""
+SHARP_SIGMA_RAD = 0.15
+"""A search may start from a direction if its rms sigma is below this."""
 
 UNREAD = "no Sun direction: bridged by the dynamics and other sensors"
 """What becomes of a sample without a direction."""
@@ -32,20 +35,17 @@ UNREAD = "no Sun direction: bridged by the dynamics and other sensors"
 
 @dataclass(frozen=True)
 class SunDirections(Term):
-    """Unit vectors (n, 3) in B with covariances (n, 3, 3), NaN where not read.
+    """Measured directions to the Sun, unit vectors `direction_B` (n, 3) in B with `covariance` (n, 3, 3), NaN where not read.
 
-    `other_B`, `other_covariance`: a second direction that a reading may mean, equally likely before the motion is known; NaN if
-    there is none. The one that a motion fits better counts.
+    Some readings of Sun sensors have two meanings: `other_B` (n, 3) with `other_covariance` (n, 3, 3) is the second direction, as
+    likely as the first before the motion is known; NaN if there is none. Of both, the one nearer to the prediction counts.
     """
 
     name: ClassVar[str] = "sun"
     label: ClassVar[str] = "Sun"
     of_sun: ClassVar[bool] = True
-    per_sample: ClassVar[tuple[str, ...]] = (
-        "direction_B",
-        "covariance",
-        "other_B",
-        "other_covariance",
+    per_sample: ClassVar[tuple[str, ...]] = tuple(
+        "direction_B covariance other_B other_covariance".split()
     )
 
     direction_B: np.ndarray
@@ -56,41 +56,49 @@ class SunDirections(Term):
     @classmethod
     def of(cls, direction_B: np.ndarray, covariance: np.ndarray) -> Self:
         """Return directions without a second meaning."""
-        nothing = np.full_like(direction_B, np.nan), np.full_like(covariance, np.nan)
-        return cls(direction_B, covariance, *nothing)
+        no_other = np.full_like(direction_B, np.nan), np.full_like(covariance, np.nan)
+        return cls(direction_B, covariance, *no_other)
 
     @classmethod
     def read(cls, telemetry: xr.Dataset, source: str) -> tuple[Self, np.ndarray]:
-        """Return the directions of telemetry from a source, and what became of each sample (n), in words."""
+        """Return the directions of telemetry, and for each sample (n) in words whether it is used.
+
+        `source`: "sun_sensor" or "directions", a key of `COLUMNS`.
+        """
         direction, covariance = (telemetry[name].values for name in COLUMNS[source])
-        read = cls.of(direction, _full_rank(direction, covariance))
+        term = cls.of(direction, _full_rank(direction, covariance))
         if source in SECOND_MEANING and SECOND_MEANING[source][0] in telemetry:
-            other, spread = (telemetry[name].values for name in SECOND_MEANING[source])
-            read = replace(read, other_B=other, other_covariance=_full_rank(other, spread))
-        return read, np.where(read.present(), "used", UNREAD).astype(object)
+            other, other_covariance = (telemetry[name].values for name in SECOND_MEANING[source])
+            term = replace(
+                term, other_B=other, other_covariance=_full_rank(other, other_covariance)
+            )
+        return term, np.where(term.present(), "used", UNREAD).astype(object)
 
     def present(self) -> np.ndarray:
         """Return which samples (n) have a direction."""
         return np.isfinite(self.covariance[:, 0, 0])
 
     def freedom(self) -> np.ndarray:
-        """Return two numbers for each direction (n)."""
+        """Return the degrees of freedom of each sample (n): two for a direction, zero without one."""
         return 2 * self.present()
 
     def loosened(self, drift_rad: np.ndarray, drift_rad_s: float) -> Self:
-        """Return the directions with the drift of a start added to their errors."""
-        drift = (drift_rad**2)[:, None, None] * np.eye(3)
+        """Return the directions with larger errors, for a motion whose attitude is off by `drift_rad` (n)."""
+        added = (drift_rad**2)[:, None, None] * np.eye(3)
         return replace(
-            self, covariance=self.covariance + drift, other_covariance=self.other_covariance + drift
+            self, covariance=self.covariance + added, other_covariance=self.other_covariance + added
         )
 
     def log_errors(self) -> float:
-        """Return the sum of the logs of the errors of all directions: two of the three numbers of each covariance."""
+        """Return twice the log of the sigma of a direction, summed over the samples.
+
+        The determinant of a covariance (3, 3) is the sixth power of the mean sigma, hence a third of its log.
+        """
         return float(np.linalg.slogdet(self.covariance[self.present()])[1].sum() / 3)
 
     def starts(self, sample: int) -> Starts:
-        """Return the direction or directions that the reading of a sample may mean, if its error is small."""
-        sharp = np.trace(self.covariance[sample]) < 3 * SHARP_RAD**2
+        """Return the one or two directions that the reading of a sample may mean; none if its error is large."""
+        sharp = np.trace(self.covariance[sample]) < 3 * SHARP_SIGMA_RAD**2
         if not (self.present()[sample] and sharp):
             return Starts()
         meanings = np.stack([self.direction_B[sample], self.other_B[sample]])
@@ -98,41 +106,43 @@ class SunDirections(Term):
 
     @cached_property
     def _whitened(self) -> list[tuple[np.ndarray, np.ndarray]]:
-        """Return for the first and the second meaning: directions (n, 3), and W (n, 3, 3) that makes errors of unit size.
+        """Return for the first and the second meaning: directions (n, 3), and matrices W (n, 3, 3) that whiten their errors.
 
-        W^T W is the inverse covariance; both are zero where nothing was read.
+        W times a difference of directions is in sigmas: W^T W is the inverse covariance. All are zero where nothing was read.
         """
         first, second = (self.direction_B, self.covariance), (self.other_B, self.other_covariance)
         meanings = []
         for direction, covariance in (first, second):
-            read = np.isfinite(covariance[:, 0, 0])
-            white = np.zeros((len(read), 3, 3))
-            inverse = np.linalg.inv(covariance[read])
-            white[read] = np.swapaxes(np.linalg.cholesky(inverse), -1, -2)
-            meanings.append((np.where(read[:, None], direction, 0.0), white))
+            was_read = np.isfinite(covariance[:, 0, 0])
+            whitening = np.zeros((len(was_read), 3, 3))
+            inverse = np.linalg.inv(covariance[was_read])
+            whitening[was_read] = np.swapaxes(np.linalg.cholesky(inverse), -1, -2)
+            meanings.append((np.where(was_read[:, None], direction, 0.0), whitening))
         return meanings
 
     def residuals(self, states: States, u: np.ndarray) -> Iterator[Residual]:
-        """Yield the whitened difference (K, n, 3) of predicted and read direction; of two meanings the nearer one counts."""
+        """Yield the predicted less the measured direction (K, n, 3), whitened; of two meanings the nearer one counts."""
         sun = states.sun_B
-        across = cross_matrix(sun)  # a turn t of the body moves the Sun by sun x t
-        (direction, white), (other, other_white) = self._whitened
-        value = np.einsum("nij,knj->kni", white, sun - direction)
-        by_turn = white @ across
-        double = np.isfinite(self.other_covariance[:, 0, 0])
-        if double.any():
-            second = np.einsum("nij,knj->kni", other_white, sun - other)
-            nearer = double & ((second**2).sum(axis=-1) < (value**2).sum(axis=-1))
-            value = np.where(nearer[..., None], second, value)
-            by_turn = np.where(nearer[..., None, None], other_white @ across, by_turn)
+        # a turn t of the body moves the Sun in body axes by sun x t
+        sun_by_turn = cross_matrix(sun)
+        (direction, whitening), (other, other_whitening) = self._whitened
+        value = np.einsum("nij,knj->kni", whitening, sun - direction)
+        by_turn = whitening @ sun_by_turn
+        has_other = np.isfinite(self.other_covariance[:, 0, 0])
+        if has_other.any():
+            other_value = np.einsum("nij,knj->kni", other_whitening, sun - other)
+            use_other = has_other & ((other_value**2).sum(axis=-1) < (value**2).sum(axis=-1))
+            value = np.where(use_other[..., None], other_value, value)
+            by_turn = np.where(use_other[..., None, None], other_whitening @ sun_by_turn, by_turn)
         yield Residual(value, by_turn)
 
 
 def _full_rank(direction: np.ndarray, covariance: np.ndarray) -> np.ndarray:
-    """Return covariances (n, 3, 3) with an error along the direction (n, 3) too, NaN where there is no direction.
+    """Return invertible covariances (n, 3, 3) of unit vectors `direction` (n, 3), NaN where there is no direction.
 
-    The covariance of a unit vector is zero along it, and could not be inverted.
+    The covariance of a unit vector has no variance along the vector: that of `RADIAL_SIGMA` is added.
     """
+    # variance d^T C d along the direction d
     along = np.einsum("ni,nij,nj->n", direction, covariance, direction)
     added = np.where(along < RADIAL_SIGMA**2, RADIAL_SIGMA**2, 0.0)
     projector = direction[:, :, None] * direction[:, None, :]

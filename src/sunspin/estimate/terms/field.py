@@ -1,9 +1,13 @@
-"""A magnetometer: its field compared between neighbours, in a known field, or as a direction in place of the Sun's.
+"""Terms of a magnetometer: its change between neighbouring samples, its reading in a known field, or its direction without a Sun.
 
-Without an orbit the direction of the field in space is unknown, but it is nearly the same at two neighbouring samples. Along a pass
-it turns the same way for minutes, by up to two turns an orbit. As noise from sample to sample that would average out, and the turn
-about the Sun, which only the field determines, would be off by more than its sigma. So the field's change in N and the drift of
-that are unknowns of a pass; what does not change evenly stays noise. In a known orbit only errors of the sensor are unknown.
+Without an orbit the direction of the field in space is unknown, but nearly the same at two neighbouring samples (`FieldChange`). It
+rotates the same way for minutes, by up to two revolutions an orbit. If that were noise, independent from sample to sample, it would
+seem to average out, and the rotation about the Sun, which only the field determines, would be off by more than its sigma. So the
+mean rate of change of the field in N and the linear drift of that rate are unknowns of a pass; the rest is noise. In a known orbit
+only the errors of the sensor and of the orbit are unknown (`KnownField`).
+
+Shapes: K motions, n samples, m unknowns u in sigmas of their priors. A turn is a rotation of the body, as a rotation vector in body
+axes B (rad). N is fixed in space with z towards the Sun. Attitudes are matrices B_from_N.
 """
 
 from __future__ import annotations
@@ -19,7 +23,14 @@ from sunspin.environment import Surroundings
 from sunspin.estimate.model import SUN_N, States, Unknown
 from sunspin.estimate.settings import FIELD_TURN
 from sunspin.estimate.terms.directions import SunDirections
-from sunspin.estimate.terms.term import Residual, Term, at_sample_before, drifting, facing, gaussian
+from sunspin.estimate.terms.term import (
+    Residual,
+    Term,
+    at_sample_before,
+    drifting_vector,
+    facing,
+    gaussian,
+)
 from sunspin.solve.rotations import cross_matrix, rotate_attitude, rotate_by_smallest
 from sunspin.vehicle import Vehicle
 from sunspin.vehicle.sensors import VARIABLES, Magnetometer, zero_sigmas
@@ -27,45 +38,52 @@ from sunspin.vehicle.sensors import VARIABLES, Magnetometer, zero_sigmas
 if TYPE_CHECKING:
     from sunspin.estimate.orbit.calibration import FieldCalibration
 
-FIELD_FACTOR = 5.0
-"""A field of more than this many times the usual size is a wrapped or broken reading: along an orbit it varies by three."""
+LARGEST_FIELD_FACTOR = 5.0
+"""A field of more than this many times the median is a wrapped or broken reading: along an orbit it varies by a factor of 3."""
 
-WINDOW_S, FEWEST_IN_WINDOW, SAME_ERROR = 300.0, 8, 30
-"""The strength of the field changes by a parabola in so many s of a low orbit; a window with fewer readings is not used; soft iron
-gives so many neighbouring readings the same error, so that they count as one."""
+PARABOLA_WINDOW_S, FEWEST_IN_WINDOW, READINGS_WITH_SAME_ERROR = 300.0, 8, 30
+"""Time in which the squared strength of the field in a low orbit is a parabola; number of readings that such a window needs; and
+number of neighbouring readings with the same error by soft iron, which count as one."""
 
-ZERO_ROUNDS, ZERO_OUTLIER = 3, 6.0
-"""Fits of a magnetometer's own zero, and the residual, over the median one, beyond which a reading is left out of the next."""
+ZERO_ROUNDS, OUTLIER_IN_MEDIANS = 3, 6.0
+"""Rounds of the fit of a magnetometer's zero offset; and residual, as a multiple of the median, beyond which the next round leaves
+a reading out."""
 
-SOFT_IRON = 0.05
-"""One sigma of each element of the matrix of a magnetometer that is not calibrated: iron that bends the field, axes off by three
-degrees. With 0.03 a pass of three turns was decided 8 sigma off."""
+MATRIX_SIGMA = 0.05
+"""One sigma of each element of the error matrix of an uncalibrated magnetometer: soft iron, and axes off by three degrees. With
+0.03 a pass of three revolutions was decided 8 sigma off."""
 
-LARGEST_ZERO, ZERO_SHARES = 0.3, (1.0, 0.3, 0.1)
-"""Zero of a magnetometer that nobody has calibrated, as a part of the field: one sigma of the largest, and parts of it that are as
-likely. Iron and currents of a small satellite make some thousand nT."""
+LARGEST_ZERO_SHARE, ZERO_SHARES = 0.3, (1.0, 0.3, 0.1)
+"""Largest sigma of the zero offset of an uncalibrated magnetometer, as a part of the field; and its equally likely values as
+factors of that. Iron and currents of a small satellite make some thousand nT."""
 
-LEFT = 0.2
-"""Part of the field's turning that does not change evenly over a pass, and stays noise."""
+UNEVEN_ROTATION_SHARE = 0.2
+"""Part of the field's rotation that is not linear in time over a pass, and remains noise."""
 
-MOST_OFF = 0.2
-"""Error of a sensor's zero and matrix, as a part of the field, beyond which a search takes its directions for no worse."""
+LARGEST_OWN_ERROR = 0.2
+"""Upper limit of the error of a sensor's zero and matrix, as a part of the field, in a search by the directions of the field."""
 
 UNREAD_FIELD = "no field direction: bridged by the dynamics and other sensors"
-"""What becomes of a sample without a field, if the field stands for the Sun."""
+"""Why a sample without a field is not used, if the field replaces the Sun."""
 
 
 @dataclass(frozen=True)
 class FieldChange(Term):
-    """Fields (n, 3) at times `t_s` (n), NaN where not read, with one `sigma`, in any unit: neighbours are compared.
+    """Fields `field_B` (n, 3) at times `t_s` (n), s, of which each is compared with that of the previous sample.
 
-    R is the turn of the body since the sample before, dt the time between both, e the error of a reading. Compared are
+    With the rotation matrix R of the body since the previous sample, the time dt between both, the rate of change of the field in
+    body axes, and the errors e of the readings, the residual is
 
-        R (field_before - e_before) + dt drift    and    field - e.
+        R (field_before - e_before) + dt rate - (field - e).
 
-    `drift_N` (n, d, 3): one sigma of each unknown of the field's change in N, per s; `turn_rate` (rad/s): what the field turns any
-    way in addition, as noise. The error e is that of the zero, `zero_B` (z, 3) being one sigma of each of its unknowns, and that of
-    nine elements of the sensor's matrix, `matrix_sigma` each.
+    Attributes
+    ----------
+    field_B, sigma : fields in any unit, NaN where not read, and the noise of each component in that unit
+    turn_rate : rad/s, rotation of the field in space in any direction in addition, which counts as noise
+    zero_B : (z, 3), one sigma of each unknown of the zero offset
+    matrix_sigma : one sigma of each of nine elements of the error matrix M; e = zero offset + M field
+    drift_N : (n, d, 3), one sigma of each unknown of the rate of change of the field in N, per s
+    zero_shares : equally likely sigmas of the zero offset, as factors of `zero_B`
     """
 
     name: ClassVar[str] = "field"
@@ -90,59 +108,46 @@ class FieldChange(Term):
         values = np.asarray(telemetry[VARIABLES["magnetometer"]], dtype=np.float64)
         t_s = np.asarray(telemetry["time"], dtype=np.float64)
         noise = part.noise if part is not None else None
-        stated = part is not None and bool(part.zero_sigma.any())
-        zero_B = np.zeros((0, 3))
-        if part is not None and stated:
-            zero_B = (part.matrix * zero_sigmas(part.zero_sigma)).T
-        return cls(
-            t_s,
-            without_outliers(values),
-            noise or np.inf,
-            zero_B=zero_B,
-            # who does not know the zero has not calibrated the axes
-            matrix_sigma=SOFT_IRON if stated else 0.0,
-            drift_N=np.zeros((len(t_s), 0, 3)),
-        )
+        zero_B, matrix_sigma = np.zeros((0, 3)), 0.0
+        if part is not None and part.zero_sigma.any():
+            # if the zero offset is uncertain, the axes are not calibrated either
+            zero_B, matrix_sigma = (part.matrix * zero_sigmas(part.zero_sigma)).T, MATRIX_SIGMA
+        fields, no_drift = without_outliers(values), np.zeros((len(t_s), 0, 3))
+        sigma = noise or np.inf
+        return cls(t_s, fields, sigma, zero_B=zero_B, matrix_sigma=matrix_sigma, drift_N=no_drift)
 
     def with_any_zero(self) -> Self:
-        """Return the fields of a sensor that nobody has calibrated: its zero may have any of the sizes :data:`ZERO_SHARES`."""
+        """Return the fields of an uncalibrated sensor: its zero offset may have any of the sizes :data:`ZERO_SHARES`."""
         size = float(np.nanmedian(np.linalg.norm(self.field_B, axis=1)))
-        return replace(
-            self,
-            zero_B=LARGEST_ZERO * size * np.eye(3),
-            matrix_sigma=SOFT_IRON,
-            zero_shares=ZERO_SHARES,
-        )
+        zero_B = LARGEST_ZERO_SHARE * size * np.eye(3)
+        return replace(self, zero_B=zero_B, matrix_sigma=MATRIX_SIGMA, zero_shares=ZERO_SHARES)
 
     def with_errors_of(self, fitted: Self) -> Self:
-        """Return the fields with the unknowns of zero and matrix that they have in a fitted model."""
-        return replace(
-            self,
-            zero_B=fitted.zero_B,
-            matrix_sigma=fitted.matrix_sigma,
-            zero_shares=fitted.zero_shares,
-        )
+        """Return the fields with the errors of zero and matrix that are unknowns in a fitted model."""
+        zero_B, matrix_sigma = fitted.zero_B, fitted.matrix_sigma
+        shares = fitted.zero_shares
+        return replace(self, zero_B=zero_B, matrix_sigma=matrix_sigma, zero_shares=shares)
 
     def with_own_zero(self) -> Self:
-        """Return the fields less the zero that their strengths show, and with its errors.
+        """Return the fields less the zero offset that their strengths determine, and with the covariance of that offset.
 
-        As a body turns, readings b stay on a sphere about the zero z, whose radius changes slowly: |b|^2 - 2 b . z is |b - z|^2 -
-        |z|^2, in each window of time a parabola. With the parabolas projected out that is linear in z. Only for a zero that the
-        vehicle file states with a sigma.
+        Only for a zero offset that the vehicle file states with a sigma. As the body rotates, the readings b stay on a sphere about
+        the offset z, and its radius changes slowly. So |b|^2 - 2 b . z = |b - z|^2 - |z|^2 is a parabola in each window of time.
+        With the parabolas projected out these equations are linear in z, and least squares give z.
         """
         if not self.zero_B.any():
             return self
-        t_s, window = self.t_s, np.floor((self.t_s - self.t_s[0]) / WINDOW_S)
-        read = np.isfinite(self.field_B).all(axis=1)
+        t_s, window = self.t_s, np.floor((self.t_s - self.t_s[0]) / PARABOLA_WINDOW_S)
+        was_read = np.isfinite(self.field_B).all(axis=1)
         slopes, values = [], []
         for k in np.unique(window):
-            inside = np.flatnonzero((window == k) & read)
+            inside = np.flatnonzero((window == k) & was_read)
             if len(inside) < FEWEST_IN_WINDOW:
                 continue
-            # orthonormal columns that span the parabolas of the window
-            time = (t_s[inside] - t_s[inside].mean()) / WINDOW_S
+            # orthonormal columns (i, 3) that span the parabolas of the window with i readings
+            time = (t_s[inside] - t_s[inside].mean()) / PARABOLA_WINDOW_S
             parabola = np.linalg.qr(np.vander(time, 3))[0]
-            # columns 0 to 2: slope 2 b of the condition by the zero; column 3: its value |b|^2
+            # equations (i, 4): factors 2 b of z, then the value |b|^2; both without their parabolas
             fields = self.field_B[inside]
             rows = np.column_stack([2 * fields, (fields**2).sum(axis=1)])
             rows = rows - parabola @ (parabola.T @ rows)
@@ -153,147 +158,137 @@ class FieldChange(Term):
         slope, value = np.concatenate(slopes), np.concatenate(values)
         prior = np.linalg.inv(self.zero_B.T @ self.zero_B)
         zero, keep = np.zeros(3), np.ones(len(value), dtype=bool)
-        for _ in range(ZERO_ROUNDS):  # outliers leave, and the size of the field follows the zero
+        # in each round outliers are left out, and the size of the field is that with the new zero offset
+        for _ in range(ZERO_ROUNDS):
             size = np.nanmedian(np.linalg.norm(self.field_B - zero, axis=1))
             scatter = np.mean((value - slope @ zero)[keep] ** 2)
-            # a square is off by twice the field times the noise; the soft iron's errors are alike in neighbours
-            variance = max(scatter, (2 * size * self.sigma) ** 2) * SAME_ERROR
+            # the noise changes |b|^2 by 2 |b| times itself; errors by soft iron are equal in neighbouring readings
+            variance = max(scatter, (2 * size * self.sigma) ** 2) * READINGS_WITH_SAME_ERROR
             precision = prior + slope[keep].T @ slope[keep] / variance
             zero = np.linalg.solve(precision, slope[keep].T @ value[keep] / variance)
-            off = np.abs(value - slope @ zero)
-            keep = off < ZERO_OUTLIER * np.median(off) + 1e-300
-        covariance = np.linalg.inv(precision) + (SOFT_IRON * size) ** 2 * np.eye(3)
+            residual = np.abs(value - slope @ zero)
+            keep = residual < OUTLIER_IN_MEDIANS * np.median(residual) + 1e-300
+        covariance = np.linalg.inv(precision) + (MATRIX_SIGMA * size) ** 2 * np.eye(3)
         return replace(self, field_B=self.field_B - zero, zero_B=np.linalg.cholesky(covariance).T)
 
     def of_pass(self, t_s: np.ndarray) -> Self:
-        """Return the fields with an even drift in N, and the drift of that, as unknowns."""
+        """Return the fields of a pass: the rate of change of the field in N, linear in time, becomes six unknowns."""
         if not self.present().any():
             return self
         sigma = FIELD_TURN * np.nanmedian(np.linalg.norm(self.field_B, axis=1)) / np.sqrt(3)
-        return replace(self, drift_N=drifting(t_s, sigma, FIELD_TURN), turn_rate=LEFT * FIELD_TURN)
+        drift_N = drifting_vector(t_s, sigma, FIELD_TURN)
+        return replace(self, drift_N=drift_N, turn_rate=UNEVEN_ROTATION_SHARE * FIELD_TURN)
 
     def present(self) -> np.ndarray:
-        """Return which samples (n) are compared with the one before: both have a reading."""
+        """Return which samples (n) are compared with the previous one: both have a reading."""
         read = np.isfinite(self.field_B).all(axis=1) & np.isfinite(self.sigma)
         return read & np.concatenate([[False], read[:-1]])
 
     def _inverse_sigma(self) -> np.ndarray:
-        """Return one over the sigma (n) of the field's change since the sample before, zero where nothing is compared."""
+        """Return one over the sigma (n) of the field's change since the previous sample, zero where nothing is compared."""
         size = np.linalg.norm(np.nan_to_num(self.field_B), axis=1)[:-1]
-        turned = size * self.turn_rate * np.diff(self.t_s)
+        by_rotation = size * self.turn_rate * np.diff(self.t_s)
         inverse = np.zeros(len(self.t_s))
-        inverse[1:] = 1 / np.sqrt(2 * self.sigma**2 + turned**2)
+        # noise of two readings, and rotation of the field in space
+        inverse[1:] = 1 / np.sqrt(2 * self.sigma**2 + by_rotation**2)
         return np.where(self.present(), inverse, 0.0)
 
     def unknowns(self) -> tuple[Unknown, ...]:
-        """Return drift and change of the drift, the zero, and the nine elements of the sensor's matrix by rows."""
+        """Return the unknowns in their order: rate of change of the field, zero offset, elements of the error matrix by rows."""
         if not (self.present().any() and self.drift_N.shape[1]):
             return ()
-        sigmas = {
-            "field_drift": ("field s-1", np.linalg.norm(self.drift_N, axis=2).max(axis=0)),
-            "field_zero": ("field", np.linalg.norm(self.zero_B, axis=1)),
-            "field_matrix": ("1", [self.matrix_sigma] * (9 if self.matrix_sigma else 0)),
-        }
-        shares = {"field_zero": self.zero_shares}
+        drift, zero = np.linalg.norm(self.drift_N, axis=2), np.linalg.norm(self.zero_B, axis=1)
+        # kind, unit, sigmas of all unknowns of the kind, equally likely factors of these
+        kinds = (
+            ("field_drift", "field s-1", drift.max(axis=0), (1.0,)),
+            ("field_zero", "field", zero, self.zero_shares),
+            ("field_matrix", "1", [self.matrix_sigma] * (9 if self.matrix_sigma else 0), (1.0,)),
+        )
         return tuple(
-            Unknown(
-                f"{kind}_{i}", kind, unit, 0.0, float(sigma), i, shares=shares.get(kind, (1.0,))
-            )
-            for kind, (unit, of_kind) in sigmas.items()
-            for i, sigma in enumerate(of_kind)
+            Unknown(f"{kind}_{i}", kind, unit, 0.0, float(sigma), i, shares=shares)
+            for kind, unit, sigmas, shares in kinds
+            for i, sigma in enumerate(sigmas)
         )
 
     def residuals(self, states: States, u: np.ndarray) -> Iterator[Residual]:
-        """Yield the comparison (K, n, 3) of each field with the one before it, as the class has it, in sigmas."""
-        was_read = self.present()
-        if not was_read.any():
+        """Yield the residual (K, n, 3) of the class docstring, in sigmas."""
+        if not self.present().any():
             return
         inverse = self._inverse_sigma()[:, None]
         read = np.nan_to_num(self.field_B)
+        # R (K, n, 3, 3) of the class docstring
         relative = states.attitude @ np.swapaxes(at_sample_before(states.attitude, axis=1), -1, -2)
         errors, by_u = np.zeros((len(u), *read.shape)), None
         drift = np.zeros_like(errors)
         if u.size:
-            # what one sigma of each unknown adds to a reading (n, 3, z + 9): zero, and elements of the matrix by rows
-            by_error = np.broadcast_to(self.zero_B.T, (len(read), 3, len(self.zero_B)))
+            # derivatives of e (n, 3, z + 9) by zero offset and matrix: element (i, k) of M adds field_k to component i
+            e_by_u = np.broadcast_to(self.zero_B.T, (len(read), 3, len(self.zero_B)))
             if self.matrix_sigma:
-                rows = np.einsum("ij,nk->nijk", np.eye(3), read).reshape(-1, 3, 9)
-                by_error = np.concatenate([by_error, self.matrix_sigma * rows], axis=-1)
-            # and to the field (K, n, 3, d) since the sample before
+                elements = np.einsum("ij,nk->nijk", np.eye(3), read).reshape(-1, 3, 9)
+                e_by_u = np.concatenate([e_by_u, self.matrix_sigma * elements], axis=-1)
+            # derivatives of the field's change dt rate (K, n, 3, d), rotated to body axes
             dt = np.diff(self.t_s, prepend=self.t_s[0])[:, None, None]
-            by_drift = np.einsum(
+            drift_by_u = np.einsum(
                 "knij,nmj->knim", states.attitude, at_sample_before(self.drift_N) * dt
             )
-            of_drift = slice(0, by_drift.shape[-1])
-            of_errors = slice(of_drift.stop, None)
-            drift = np.einsum("knim,km->kni", by_drift, u[:, of_drift])
-            errors = np.einsum("nim,km->kni", by_error, u[:, of_errors])
+            drift_count = drift_by_u.shape[-1]
+            drift = np.einsum("knim,km->kni", drift_by_u, u[:, :drift_count])
+            errors = np.einsum("nim,km->kni", e_by_u, u[:, drift_count:])
             by_u = np.concatenate(
-                [by_drift, by_error - relative @ at_sample_before(by_error)], axis=-1
+                [drift_by_u, e_by_u - relative @ at_sample_before(e_by_u)], axis=-1
             )
             by_u = by_u * inverse[..., None]
         true_before = at_sample_before(read) - at_sample_before(errors, axis=1)
         expected = (relative @ true_before[..., None])[..., 0] + drift
         value = (expected - (read - errors)) * inverse
-        # a turn t moves a vector v of space by v x t
+        # a turn t of the body moves a vector v of space by v x t in body axes
         by_turn = cross_matrix(expected) * inverse[..., None]
         by_previous = -relative @ cross_matrix(true_before) * inverse[..., None]
         yield Residual(value, by_turn, by_previous=by_previous, by_u=by_u, law=gaussian)
 
     def for_search(self) -> list[Self]:
-        """Return the fields without unknowns, whose errors are added to the noise, in a field that turns any way.
+        """Return the fields without unknowns; their errors are added to the noise, also the rotation of the field in space.
 
-        Of the sizes of a zero the middle one counts: with an error of 0.3 of the field the readings would say next to nothing.
+        Of several sizes of the zero offset the median counts: with an error of 0.3 of the field the readings would not help.
         """
         zero_B = self.zero_B * float(np.median(self.zero_shares))
-        was_read = self.present()
-        change = np.diff(self.field_B, axis=0, prepend=np.nan)[was_read]
+        change = np.diff(self.field_B, axis=0, prepend=np.nan)[self.present()]
         sigma = self.sigma
         if len(change) and zero_B.any():
-            # The search compares neighbouring readings. A zero z that is subtracted from both turns with the body, so that it
-            # changes their difference only along the changes d of the field, which lie across the axis of the turn. So its variance
-            # is the mean of (z d / |d|)^2, weighed by d^2. The matrix adds its share of a change.
+            # A zero offset z is fixed in the body. So it changes the comparison of two readings only along the change d of the
+            # field, which is across the axis of rotation. Its variance is the mean of (z . d / |d|)^2, weighted by |d|^2. The error
+            # matrix adds its part of a change.
             square = (change**2).sum()
             variance = ((change @ zero_B.T) ** 2).sum() / square
             variance += self.matrix_sigma**2 * square / len(change)
             sigma = float(np.hypot(sigma, np.sqrt(variance)))
-        return [
-            replace(
-                self,
-                sigma=sigma,
-                turn_rate=FIELD_TURN,
-                zero_B=self.zero_B[:0],
-                zero_shares=(1.0,),
-                matrix_sigma=0.0,
-                drift_N=self.drift_N[:, :0],
-            )
-        ]
+        without_errors = replace(self, zero_B=zero_B[:0], zero_shares=(1.0,), matrix_sigma=0.0)
+        no_drift = self.drift_N[:, :0]
+        return [replace(without_errors, sigma=sigma, turn_rate=FIELD_TURN, drift_N=no_drift)]
 
     def loosened(self, drift_rad: np.ndarray, drift_rad_s: float) -> Self:
-        """Return the fields with what drifts (n) of a start, in rad, turn the largest field added to their errors."""
+        """Return the fields with larger noise, for a motion whose attitude is off by `drift_rad` (n).
+
+        The added noise is half of the largest such error times the largest field.
+        """
         size = np.linalg.norm(np.nan_to_num(self.field_B), axis=1).max(initial=0.0)
         return replace(self, sigma=float(np.hypot(self.sigma, drift_rad.max() * size / 2)))
 
 
 @dataclass(frozen=True)
 class KnownField(Term):
-    """Readings `read_B` (n, 3) in T, NaN where none, `sigma_T` (n) of each component, and the field there `field_N` (n, 3).
+    """Readings `read_B` (n, 3) in T, NaN where not read, of a field `field_N` (n, 3) that an orbit and a field model give, in T.
 
-    There are e errors that all samples have in common: of the sensor's zero and matrix and of the place along the track, as the
-    calibration has left them. One sigma of each changes a reading by `own_B` (n, e, 3), and the field there by `along_N` (n, e, 3).
-    `noise_T`: of a component.
+    The unknowns are e errors that all samples have in common: of the zero offset and matrix of the sensor and of the along-track
+    offset, as far as the calibration leaves them open. One sigma of each changes the readings by `own_B` (n, e, 3) and the field by
+    `along_N` (n, e, 3). `sigma_T` (n): all other errors of a component; `noise_T`: the noise among them.
     """
 
     name: ClassVar[str] = "field"
     label: ClassVar[str] = "magnetometer"
     about_sun: ClassVar[bool] = True
-    per_sample: ClassVar[tuple[str, ...]] = (
-        "t_s",
-        "read_B",
-        "sigma_T",
-        "field_N",
-        "own_B",
-        "along_N",
+    per_sample: ClassVar[tuple[str, ...]] = tuple(
+        "t_s read_B sigma_T field_N own_B along_N".split()
     )
 
     t_s: np.ndarray
@@ -308,16 +303,16 @@ class KnownField(Term):
     def of(
         cls, fields: FieldChange, surroundings: Surroundings, calibration: FieldCalibration
     ) -> Self:
-        """Return readings calibrated along an orbit; their errors are those of the calibration."""
+        """Return the readings with a calibration along the orbit, whose errors become those of the term."""
         field_N, along_N = surroundings.field_N, surroundings.field_along_N
         assert field_N is not None and along_N is not None
-        read = fields.field_B
+        uncalibrated = fields.field_B
         return cls(
             t_s=fields.t_s,
-            read_B=calibration.field(read),
-            sigma_T=calibration.sigma_T(read, field_N, along_N),
+            read_B=calibration.field(uncalibrated),
+            sigma_T=calibration.sigma_T(uncalibrated, field_N, along_N),
             field_N=field_N,
-            own_B=calibration.reading_errors(read),
+            own_B=calibration.reading_errors(uncalibrated),
             along_N=calibration.orbit_errors(along_N),
             noise_T=calibration.noise_T,
         )
@@ -327,7 +322,7 @@ class KnownField(Term):
         return np.all(np.isfinite(self.read_B), axis=1)
 
     def unknowns(self) -> tuple[Unknown, ...]:
-        """Return the errors of the calibration."""
+        """Return the errors that all samples have in common (see the class)."""
         if not self.present().any():
             return ()
         sizes = np.nan_to_num(np.linalg.norm(self.own_B, axis=2)).max(axis=0)
@@ -337,7 +332,7 @@ class KnownField(Term):
         )
 
     def residuals(self, states: States, u: np.ndarray) -> Iterator[Residual]:
-        """Yield the known field less the reading (K, n, 3), both with the errors in common, in sigmas."""
+        """Yield the predicted field less the reading (K, n, 3), both with their common errors, in sigmas."""
         was_read = self.present()
         if not was_read.any():
             return
@@ -345,75 +340,82 @@ class KnownField(Term):
         field_B = np.einsum("knij,nj->kni", states.attitude, self.field_N)
         read, by_u = np.nan_to_num(self.read_B), None
         if u.size:
-            # axes: candidate k, sample n, component i, error e
-            by_place = np.einsum("knij,nej->knie", states.attitude, self.along_N)
-            by_sensor = np.swapaxes(np.nan_to_num(self.own_B), 1, 2)
-            field_B = field_B + np.einsum("knie,ke->kni", by_place, u)
-            read = read + np.einsum("nie,ke->kni", by_sensor, u)
-            by_u = (by_place - by_sensor) * inverse[..., None]
+            # axes: motion k, sample n, component i, error e
+            field_by_u = np.einsum("knij,nej->knie", states.attitude, self.along_N)
+            read_by_u = np.swapaxes(np.nan_to_num(self.own_B), 1, 2)
+            field_B = field_B + np.einsum("knie,ke->kni", field_by_u, u)
+            read = read + np.einsum("nie,ke->kni", read_by_u, u)
+            by_u = (field_by_u - read_by_u) * inverse[..., None]
+        # a turn t of the body moves the field in body axes by field x t
         by_turn = cross_matrix(field_B) * inverse[..., None]
         yield Residual((field_B - read) * inverse, by_turn, by_u=by_u)
 
-    def begin(self, states: States, about_sun: bool) -> tuple[np.ndarray, np.ndarray]:
-        """Return attitudes (K, n, 3, 3) turned about the Sun so that the readings fit best, as a search knows the Sun alone."""
+    def first_guess(self, states: States, about_sun: bool) -> tuple[np.ndarray, np.ndarray]:
+        """Return attitudes (K, n, 3, 3) rotated about the Sun direction so that the readings fit best, and unknowns of zero.
+
+        A search by the Sun leaves this rotation open.
+        """
         was_read = self.present()
-        attitude, u = super().begin(states, about_sun)
+        attitude, u = super().first_guess(states, about_sun)
         if about_sun or not was_read.any():
             return attitude, u
         read_N = np.einsum("knji,nj->kni", states.attitude[:, was_read], self.read_B[was_read])
         known, weight = self.field_N[was_read], 1 / self.sigma_T[was_read] ** 2
-        # the angle about z, the Sun, that takes the components across z of the known fields to those of the readings: weighted
-        # sums of |known| |read| times its sine and its cosine
+        # The angle about z, the Sun, takes the x and y components of the known fields to those of the readings. `sine` and `cosine`
+        # are weighted sums of its sine and its cosine times both lengths.
         sine = ((known[:, 0] * read_N[..., 1] - known[:, 1] * read_N[..., 0]) * weight).sum(axis=1)
         cosine = ((known[:, :2] * read_N[..., :2]).sum(axis=2) * weight).sum(axis=1)
         about_z = rotate_attitude(np.eye(3), -np.arctan2(sine, cosine)[:, None] * SUN_N)
         return attitude @ about_z[:, None], u
 
     def for_search(self) -> list[Term]:
-        """Return the comparison of neighbours: a search does not know the turn about the Sun."""
-        # An error of the axes turns all readings alike, which no comparison of neighbours shows: it is left out of the sigma.
-        left = _without_rotation(self.own_B, self.read_B)
-        own_T = np.sqrt(np.nanmedian((left**2).sum(axis=(1, 2))) / 3)
-        sigma, none = float(np.hypot(self.noise_T, own_T)), np.zeros((len(self.t_s), 0, 3))
-        return [FieldChange(self.t_s, self.read_B, sigma, drift_N=none)]
+        """Return the comparison of neighbouring samples, as a search does not know the rotation about the Sun."""
+        # An error that rotates all readings alike does not change the comparison: it is left out of the sigma.
+        errors = _without_rotation(self.own_B, self.read_B)
+        own_T = np.sqrt(np.nanmedian((errors**2).sum(axis=(1, 2))) / 3)
+        sigma, no_unknowns = float(np.hypot(self.noise_T, own_T)), np.zeros((len(self.t_s), 0, 3))
+        return [FieldChange(self.t_s, self.read_B, sigma, drift_N=no_unknowns)]
 
     def without_errors(self) -> Self:
-        """Return the readings without unknowns, whose errors are added to the noise."""
+        """Return the readings without unknowns; the common errors of the sensor are added to the noise."""
         own = np.sqrt((self.own_B**2).sum(axis=(1, 2)) / 3)
         sigma = np.hypot(self.sigma_T, own)
         return replace(self, sigma_T=sigma, own_B=self.own_B[:, :0], along_N=self.along_N[:, :0])
 
-    def directions(self) -> SunDirections:
-        """Return the directions of the field in the body as if they were the Sun's, for a search where no Sun is seen."""
+    def as_sun_directions(self) -> SunDirections:
+        """Return the directions of the field in the body in place of the Sun's, for a search without the Sun."""
         size = np.linalg.norm(self.field_N, axis=1)
         own = np.sqrt((self.own_B**2).sum(axis=(1, 2)) / 3)
-        sigma = np.hypot(self.sigma_T, np.minimum(own, MOST_OFF * size)) / size
+        sigma = np.hypot(self.sigma_T, np.minimum(own, LARGEST_OWN_ERROR * size)) / size
         unit = self.read_B / np.linalg.norm(self.read_B, axis=1, keepdims=True)
         variance = np.where(self.present(), sigma**2, np.nan)
         return SunDirections.of(unit, variance[:, None, None] * np.eye(3))
 
-    def frames(self) -> np.ndarray:
-        """Return matrices (n, 3, 3) from N to axes with z along the field, without a turn about the field from one to the next."""
+    def field_axes(self) -> np.ndarray:
+        """Return matrices (n, 3, 3) that take components in N to those in axes whose z follows the field.
+
+        From one sample to the next the axes rotate by the smallest angle, without a rotation about the field.
+        """
         unit = self.field_N / np.linalg.norm(self.field_N, axis=1, keepdims=True)
         frames = [facing(unit[0]).T]
         for before, after in zip(unit, unit[1:], strict=False):
-            # the smallest rotation that takes the new direction to the old one, column by column
+            # the smallest rotation (3, 3) that takes the new direction to the old one, applied to the unit vectors
             back = rotate_by_smallest(np.tile(after, (3, 1)), np.tile(before, (3, 1)), np.eye(3)).T
             frames.append(frames[-1] @ back)
         return np.array(frames)
 
-    def turning(self) -> np.ndarray:
-        """Return the rates (n, 3) in rad/s, in N, at which the axes of :meth:`frames` turn: unit x d(unit)/dt."""
+    def axes_rate_N(self) -> np.ndarray:
+        """Return the angular velocities (n, 3) of the axes of :meth:`field_axes`, rad/s in N: unit x d(unit)/dt."""
         unit = self.field_N / np.linalg.norm(self.field_N, axis=1, keepdims=True)
         return np.cross(unit, np.gradient(unit, self.t_s, axis=0))
 
 
 @dataclass(frozen=True)
 class FieldDirection(SunDirections):
-    """Directions of the field (n, 3) with covariances (n, 3, 3), used as those of the Sun: a magnetometer alone, without an orbit.
+    """Directions of the field that replace those of the Sun, for a magnetometer alone and without an orbit.
 
-    The direction of the field in space is not known and turns along the orbit, so the motion is found in axes that follow it. How
-    fast they turn is not known, and is an error of every rate. The turn about the field is seen only through the motion.
+    The direction of the field in space is unknown and rotates along the orbit, so the motion is estimated in axes N whose z follows
+    the field. Their unknown rotation is an error of every rate (`axes_rad_s`).
     """
 
     name: ClassVar[str] = "field"
@@ -422,13 +424,14 @@ class FieldDirection(SunDirections):
 
     @classmethod
     def alone(cls, part: Magnetometer, telemetry: xr.Dataset) -> tuple[Self, np.ndarray]:
-        """Return the directions of telemetry, and what became of each sample (n), in words."""
+        """Return the directions of telemetry, and for each sample (n) in words whether it is used."""
         values = np.asarray(telemetry[VARIABLES["magnetometer"]], dtype=np.float64)
-        read = without_outliers(values)
-        size = np.linalg.norm(read, axis=1, keepdims=True)
+        fields = without_outliers(values)
+        size = np.linalg.norm(fields, axis=1, keepdims=True)
+        # columns: one sigma of the zero offset of each axis, in body axes
         zero = part.matrix * part.zero_sigma
         covariance = (part.noise or np.inf) ** 2 * np.eye(3) + zero @ zero.T
-        directions = cls.of(read / size, covariance / (size**2)[..., None])
+        directions = cls.of(fields / size, covariance / (size**2)[..., None])
         return directions, np.where(directions.present(), "used", UNREAD_FIELD).astype(object)
 
 
@@ -439,22 +442,22 @@ def reads_directions(vehicle: Vehicle, telemetry: xr.Dataset) -> bool:
 
 
 def without_outliers(fields: np.ndarray) -> np.ndarray:
-    """Return fields (n, 3), NaN where they are far beyond the usual size, which the Earth's field cannot reach."""
+    """Return fields (n, 3), with NaN for those far stronger than the median (`LARGEST_FIELD_FACTOR`)."""
     size = np.linalg.norm(np.nan_to_num(fields), axis=1)
-    usual = np.median(size[size > 0]) if np.any(size > 0) else 0.0
-    return np.where((size <= FIELD_FACTOR * usual)[:, None], fields, np.nan)
+    median = np.median(size[size > 0]) if np.any(size > 0) else 0.0
+    return np.where((size <= LARGEST_FIELD_FACTOR * median)[:, None], fields, np.nan)
 
 
 def _without_rotation(errors: np.ndarray, fields: np.ndarray) -> np.ndarray:
-    """Return errors (n, e, 3) of fields b (n, 3) less their part r x b, with one rotation r for all samples.
+    """Return e errors (n, e, 3) of fields b (n, 3) without the part r x b that a rotation r of all fields makes.
 
-    Least squares for each error: (sum of |b|^2 - b b^T) r = sum of b x error.
+    The rotation vector r of each error follows from least squares: (sum of |b|^2 I - b b^T) r = sum of b x error.
     """
-    read = np.isfinite(fields).all(axis=1)
-    field_B, error = fields[read], errors[read]
+    was_read = np.isfinite(fields).all(axis=1)
+    field_B, error = fields[was_read], errors[was_read]
     normal = (field_B**2).sum() * np.eye(3) - field_B.T @ field_B
     moment = np.cross(field_B[:, None], error).sum(axis=0)
     rotation = moment @ np.linalg.pinv(normal, rcond=1e-6, hermitian=True)
-    left = errors.copy()
-    left[read] -= np.cross(rotation, field_B[:, None])
-    return left
+    remaining = errors.copy()
+    remaining[was_read] -= np.cross(rotation, field_B[:, None])
+    return remaining

@@ -1,6 +1,7 @@
-"""Readings of a lander that a person states in addition to its panels: each with its own time and one Gaussian sigma.
+"""Term of a single reading of a lander that the user states in addition to its panels, with a time and a Gaussian sigma.
 
-They are simpler than sensors of a telemetry file, as they have no axes, gains or common errors.
+It is simpler than a sensor of a telemetry file, as it has no axes, gains or common errors. Shapes: K motions, n samples. A turn is
+a small rotation of the body, as a rotation vector in body axes B (rad).
 """
 
 from __future__ import annotations
@@ -17,22 +18,23 @@ from sunspin.estimate.terms.term import Residual, Term, gaussian
 from sunspin.solve.rotations import cross_matrix
 
 KEYS = ("kind", "t_s", "value", "sigma")
-"""What a person states of each reading; of a field also the angle between it and the Sun, `angle_rad`."""
+"""Keys of a stated reading; a reading of the kind "field" also has `angle_rad`, the angle between the field and the Sun."""
 
-NUMBERS = {"rate": 1, "gyro": 3, "direction": 3, "field": 3}
-"""How many numbers the value of each kind has. They are the angular speed about any axis in rad/s, as a period in a radio signal or
-a light curve shows it; the rate of the body in rad/s; the direction to the Sun, seen otherwise than by panels; and a direction seen
-in the body at a known angle from the Sun, such as the magnetic field's."""
+COMPONENTS = {"rate": 1, "gyro": 3, "direction": 3, "field": 3}
+"""Kind of a reading -> number of components of its value. "rate": angular speed about any axis (rad/s), as the period of a radio
+signal or a light curve gives it. "gyro": body rate (rad/s, B). "direction": direction to the Sun (B). "field": a direction (B) at
+a known angle from the Sun, such as that of the magnetic field."""
 
 LEAST_SINE = 1e-3
-"""Least sine of the angle between Sun and field by which its derivative is divided."""
+"""Lower limit of the sine by which the derivative of the angle between Sun and field is divided."""
 
 
 @dataclass(frozen=True)
 class Given(Term):
-    """A reading of a kind at one of n samples, with one `sigma` (n), which is infinite at all others.
+    """A reading of one `kind` (a key of `COMPONENTS`) at one of n samples. Its `sigma` (n) is infinite at all other samples.
 
-    `value` (n, r): for each sample its numbers, of a field the angle (rad) of the Sun from the direction `axis_B` (n, 3).
+    `value` (n, r): the numbers read, zero at the other samples. For the kind "field" r is 1: the angle (rad) between the Sun and
+    the unit vector `axis_B` (n, 3), the field in the body.
     """
 
     name: ClassVar[str] = "given"
@@ -46,12 +48,15 @@ class Given(Term):
 
     @classmethod
     def of(cls, observation: Mapping[str, Any], at: int, count: int) -> Self:
-        """Return the term of one reading at sample `at` of `count` samples; refuse values that are none."""
+        """Return the term of one reading at sample `at` (index) of `count`; raise `InputError` for impossible values.
+
+        `observation`: the reading as the user states it, with the keys `KEYS`.
+        """
         kind, sigma = str(observation["kind"]), float(observation["sigma"])
-        numbers = NUMBERS[kind]
+        numbers = COMPONENTS[kind]
         value = np.atleast_1d(np.asarray(observation["value"], dtype=np.float64))
-        right = value.shape == (numbers,) and np.all(np.isfinite(value))
-        if not (right and np.isfinite(sigma) and sigma > 0):
+        valid = value.shape == (numbers,) and np.all(np.isfinite(value))
+        if not (valid and np.isfinite(sigma) and sigma > 0):
             what = f"a {kind} is {numbers} finite numbers with a positive sigma"
             raise InputError(what, got=str(dict(observation)))
         axis = np.array([0.0, 0.0, 1.0])
@@ -75,26 +80,27 @@ class Given(Term):
 
     @property
     def explained(self) -> float:
-        """Return how many numbers a motion must explain."""
+        """Return how many numbers were read: those that a motion must explain."""
         return float(self.present().sum() * self.value.shape[1])
 
     def residuals(self, states: States, u: np.ndarray) -> Iterator[Residual]:
-        """Yield the difference (K, n, r) in sigmas, with its derivative by the rate, or by a turn of the body."""
+        """Yield the predicted less the read value (K, n, r) in sigmas, with its derivative by the rate or by a turn."""
         by_rate = by_turn = None
-        moves = cross_matrix(states.sun_B)  # a turn t of the body moves the Sun by sun x t
+        # a turn t of the body moves the Sun in body axes by sun x t
+        sun_by_turn = cross_matrix(states.sun_B)
         if self.kind == "rate":
             predicted = np.linalg.norm(states.omega, axis=-1, keepdims=True)
             by_rate = (states.omega / np.maximum(predicted, 1e-12))[..., None, :]
         elif self.kind == "gyro":
             predicted, by_rate = states.omega, np.broadcast_to(np.eye(3), (*states.omega.shape, 3))
         elif self.kind == "direction":
-            predicted, by_turn = states.sun_B, moves
+            predicted, by_turn = states.sun_B, sun_by_turn
         else:
-            # the angle between Sun and field; its cosine changes by axis . (sun x turn)
+            # the angle between Sun and field: a turn changes its cosine by axis . (sun x turn)
             cosine = np.clip(np.sum(states.sun_B * self.axis_B, axis=-1), -1.0, 1.0)
             sine = np.maximum(np.sqrt(1 - cosine**2), LEAST_SINE)
             predicted = np.arccos(cosine)[..., None]
-            by_turn = -(self.axis_B[:, None, :] @ moves) / sine[..., None, None]
+            by_turn = -(self.axis_B[:, None, :] @ sun_by_turn) / sine[..., None, None]
         inverse = 1 / self.sigma[:, None]
         by_turn, by_rate = (
             None if slope is None else slope * inverse[..., None] for slope in (by_turn, by_rate)
@@ -102,15 +108,15 @@ class Given(Term):
         yield Residual((predicted - self.value) * inverse, by_turn, by_rate, law=gaussian)
 
 
-def require_known(given: Sequence[Mapping[str, Any]], start_s: float, end_s: float) -> None:
-    """Refuse observations of no known kind, with other keys than theirs, or outside the window."""
-    for observation in given:
+def require_known(observations: Sequence[Mapping[str, Any]], start_s: float, end_s: float) -> None:
+    """Raise `InputError` for stated readings of an unknown kind, with wrong keys, or outside the window from start to end (s)."""
+    for observation in observations:
         kind = str(observation.get("kind"))
         keys = {*KEYS, "angle_rad"} if kind == "field" else set(KEYS)
-        if kind not in NUMBERS or keys != set(observation):
-            more = "a field also angle_rad, the Sun's from it"
+        if kind not in COMPONENTS or keys != set(observation):
             raise InputError(
-                f"an observation has kind ({', '.join(NUMBERS)}), t_s, value and sigma, {more}",
+                f"an observation has kind ({', '.join(COMPONENTS)}), t_s, value and sigma, "
+                "a field also angle_rad, the Sun's from it",
                 got=str(dict(observation)),
             )
         if not start_s <= float(observation["t_s"]) <= end_s:

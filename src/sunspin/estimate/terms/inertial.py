@@ -1,4 +1,8 @@
-"""Sensors of how the body turns in space: gyro, size of the rate, attitude sensor; and how late they and a magnetometer are."""
+"""Terms of sensors of the rotation in space: gyro, magnitude of the rate, attitude sensor; and of their time offset.
+
+Shapes: K motions, n samples, m unknowns u of a term, in sigmas of their priors. A turn is a rotation of the body, as a rotation
+vector in body axes B (rad). Attitudes are matrices B_from_N.
+"""
 
 from __future__ import annotations
 
@@ -16,16 +20,17 @@ from sunspin.solve.rotations import matrix_from_quaternion, rotation_between
 from sunspin.vehicle import Vehicle
 from sunspin.vehicle.sensors import VARIABLES, zero_sigmas
 
-WHOLE_TURNS = 20
-"""Whole turns between two attitudes that are tried either way, at most: the largest rate leaves fewer."""
+MOST_REVOLUTIONS = 20
+"""Largest number of whole revolutions between two attitudes that is tried, in either sense. The largest rate allows fewer."""
 
 
 @dataclass(frozen=True)
 class GyroRates(Term):
-    """Rates (n, 3) in rad/s, NaN where not read, with one `sigma` (rad/s).
+    """Gyro readings `rate_B` (n, 3) in rad/s, NaN where not read, with noise `sigma` (rad/s) of each component.
 
-    `zero_sigma` (3) in rad/s of the zero of each axis, zero for one that is known; `scale_sigma`, relative. `zero_stated`: the
-    vehicle file states the sigma of the zero; else the zero may be off by anything in :data:`GYRO_ZEROS`.
+    The gyro has a zero offset on each axis and one scale error. `zero_sigma` (3), rad/s: sigma of the offset, 0 for an axis whose
+    offset is known. `scale_sigma`: relative sigma of the scale. `zero_stated`: the vehicle file states `zero_sigma`. Otherwise it
+    may be any of :data:`GYRO_ZEROS`, whose first and largest is `zero_sigma`.
     """
 
     name: ClassVar[str] = "gyro"
@@ -46,14 +51,14 @@ class GyroRates(Term):
         rate = np.asarray(telemetry[VARIABLES["gyro"]], dtype=np.float64)
         part = vehicle.sensors.with_columns.get("gyro")
         if part is None:
-            return cls(rate, 1.0, np.zeros(3), 0.0)
+            return cls(rate, sigma=1.0, zero_sigma=np.zeros(3), scale_sigma=0.0)
         zero = abs(part.scale_rad_s) * zero_sigmas(part.zero_sigma)
         scale = part.scale_sigma / abs(part.scale_rad_s)
         gyro = cls(rate, part.noise_rad_s, zero, scale)
         return gyro if np.any(zero) else gyro.with_any_zero()
 
     def with_any_zero(self) -> Self:
-        """Return the gyro as if the vehicle file did not state how far its zero may be off."""
+        """Return the gyro as if the vehicle file did not state the sigma of its zero offset."""
         return replace(self, zero_sigma=np.full(3, GYRO_ZEROS[0]), zero_stated=False)
 
     def present(self) -> np.ndarray:
@@ -61,68 +66,61 @@ class GyroRates(Term):
         return np.all(np.isfinite(self.rate_B), axis=1)
 
     @property
-    def _columns(self) -> np.ndarray:
-        """Return what one sigma of each unknown, in their order, adds to the readings (n, 3, m) in rad/s."""
+    def _reading_by_u(self) -> np.ndarray:
+        """Return what one sigma of each unknown (in the order of `unknowns`) adds to the readings (n, 3, m), rad/s."""
         was_read = self.present()[:, None, None]
-        zero = np.diag(self.zero_sigma)[:, self.zero_sigma > 0]  # of axes whose zero is not known
-        columns = [np.broadcast_to(zero, (len(was_read), *zero.shape))]
+        # offsets of the axes whose offset is not known
+        zero = np.diag(self.zero_sigma)[:, self.zero_sigma > 0]
+        by_u = [np.broadcast_to(zero, (len(was_read), *zero.shape))]
         if self.scale_sigma:
-            # in proportion to the rate, for which the reading stands
-            columns.append((self.scale_sigma * np.nan_to_num(self.rate_B))[..., None])
-        return was_read * np.concatenate(columns, axis=-1)
+            # in proportion to the rate; the reading is near enough to it
+            by_u.append((self.scale_sigma * np.nan_to_num(self.rate_B))[..., None])
+        return was_read * np.concatenate(by_u, axis=-1)
 
     def unknowns(self) -> tuple[Unknown, ...]:
-        """Return the zero of each axis and the scale, if they are not known."""
+        """Return the zero offset of each axis and the scale, if they are not known."""
         if not self.present().any():
             return ()
-        shares = tuple(zero / GYRO_ZEROS[0] for zero in GYRO_ZEROS)
-        shares = (1.0,) if self.zero_stated else shares
+        # sigmas of the offset that are equally likely, as factors of the largest
+        shares = (1.0,) if self.zero_stated else tuple(zero / GYRO_ZEROS[0] for zero in GYRO_ZEROS)
+        kind, doubted = "gyro_zero", not self.zero_stated
         zeros = [
-            Unknown(
-                f"gyro_zero_{axis}",
-                "gyro_zero",
-                "rad/s",
-                0.0,
-                float(sigma),
-                i,
-                shares=shares,
-                doubted=not self.zero_stated,
-            )
-            for i, (axis, sigma) in enumerate(zip("xyz", self.zero_sigma, strict=True))
+            Unknown(f"{kind}_{axis}", kind, "rad/s", 0.0, sigma, i, shares=shares, doubted=doubted)
+            for i, (axis, sigma) in enumerate(zip("xyz", self.zero_sigma.tolist(), strict=True))
             if sigma
         ]
         scale = Unknown("gyro_scale", "gyro_scale", "1", 0.0, self.scale_sigma)
         return (*zeros, *([scale] if self.scale_sigma else []))
 
     def residuals(self, states: States, u: np.ndarray) -> Iterator[Residual]:
-        """Yield the predicted reading, the rate with the errors of zero and scale, less the reading (K, n, 3), in sigmas."""
+        """Yield the predicted less the read rate (K, n, 3) in sigmas. The prediction includes the errors of zero and scale."""
         was_read = self.present()[:, None]
         if not was_read.any():
             return
         value = was_read * (states.omega - np.nan_to_num(self.rate_B)) / self.sigma
         by_rate = np.broadcast_to(was_read[..., None] * np.eye(3) / self.sigma, (*value.shape, 3))
-        columns = self._columns / self.sigma
-        value = value + np.einsum("nim,km->kni", columns, u)
-        by_u = np.broadcast_to(columns, (*value.shape, columns.shape[-1]))
+        by_u = self._reading_by_u / self.sigma
+        value = value + np.einsum("nim,km->kni", by_u, u)
+        by_u = np.broadcast_to(by_u, (*value.shape, by_u.shape[-1]))
         yield Residual(value, by_rate=by_rate, by_u=by_u)
 
     def for_search(self) -> list[Self]:
-        """Return the gyro without unknowns, whose errors are added to the noise.
+        """Return the gyro without unknowns; the rms of their errors is added to the noise.
 
-        A zero whose sigma the file does not state is taken for none: with an error of 3 deg/s, the largest it may be, the gyro
-        would say nothing.
+        A zero offset whose sigma the file does not state is taken as zero: with an error of 3 deg/s, the largest it may have, the
+        gyro would not help the search.
         """
-        columns = replace(self, zero_sigma=self.zero_sigma * self.zero_stated)._columns
-        common = np.sqrt((columns**2).sum(axis=(1, 2)).mean() / 3) if columns.size else 0.0
-        sigma = float(np.hypot(self.sigma, common))
+        by_u = replace(self, zero_sigma=self.zero_sigma * self.zero_stated)._reading_by_u
+        rms_error = np.sqrt((by_u**2).sum(axis=(1, 2)).mean() / 3) if by_u.size else 0.0
+        sigma = float(np.hypot(self.sigma, rms_error))
         return [replace(self, sigma=sigma, zero_sigma=np.zeros(3), scale_sigma=0.0)]
 
     def loosened(self, drift_rad: np.ndarray, drift_rad_s: float) -> Self:
-        """Return the gyro with the drift of a start added to its errors."""
+        """Return the gyro with larger noise, for a motion whose rate is off by `drift_rad_s`."""
         return replace(self, sigma=float(np.hypot(self.sigma, drift_rad_s)))
 
     def starts(self, sample: int) -> Starts:
-        """Return the rates that were read at a sample and the next one; their sigma counts only if both were read."""
+        """Return the rates that were read at a sample and the next one, with a finite sigma only if both were read."""
         rates = self.rate_B[sample : sample + 2]
         rates = rates[np.isfinite(rates).all(axis=1)]
         return Starts(rates=rates, rate_sigma=self.sigma if len(rates) == 2 else np.inf)
@@ -130,9 +128,9 @@ class GyroRates(Term):
 
 @dataclass(frozen=True)
 class RateMagnitudes(Term):
-    """Magnitudes of the rate (n) in rad/s, NaN where not read, with one `sigma` (rad/s) and a relative `scale_sigma`.
+    """Magnitudes of the rate, `size` (n) in rad/s, NaN where not read, with noise `sigma` (rad/s) and a relative `scale_sigma`.
 
-    They distinguish aliases, whose speeds differ by whole turns between samples, and say nothing of the axis.
+    They distinguish aliases, whose angular speeds differ by whole revolutions between samples, but do not show the axis.
     """
 
     name: ClassVar[str] = "rate_size"
@@ -145,7 +143,7 @@ class RateMagnitudes(Term):
 
     @classmethod
     def read(cls, vehicle: Vehicle, telemetry: xr.Dataset) -> Self | None:
-        """Return the sizes of the rate in telemetry; None if it has none."""
+        """Return the magnitudes of the rate in telemetry; None if it has none."""
         part = vehicle.sensors.rate_size
         if VARIABLES["rate_size"] not in telemetry or part is None:
             return None
@@ -153,11 +151,11 @@ class RateMagnitudes(Term):
         return cls(size, part.noise_rad_s, part.scale_sigma / part.scale_rad_s)
 
     def present(self) -> np.ndarray:
-        """Return which samples (n) have a size."""
+        """Return which samples (n) have a reading."""
         return np.isfinite(self.size)
 
     def freedom(self) -> np.ndarray:
-        """Return how many numbers each reading (n) has."""
+        """Return the degrees of freedom of each sample (n): one for a reading, zero without one."""
         return 1 * self.present()
 
     def unknowns(self) -> tuple[Unknown, ...]:
@@ -167,9 +165,9 @@ class RateMagnitudes(Term):
         return (Unknown("rate_size_scale", "rate_size_scale", "1", 0.0, self.scale_sigma),)
 
     def residuals(self, states: States, u: np.ndarray) -> Iterator[Residual]:
-        """Yield the predicted size of the rate less the reading (K, n, 1), in sigmas. The prediction has the error of the scale.
+        """Yield the predicted less the read magnitude (K, n, 1) in sigmas. The prediction includes the error of the scale.
 
-        Its derivative by the rate is the unit vector along the rate. At rest there is none, and zero is taken.
+        Its derivative by the rate is the unit vector along the rate, or zero for a body at rest.
         """
         was_read = self.present()
         if not was_read.any():
@@ -182,26 +180,26 @@ class RateMagnitudes(Term):
         if not u.size:
             yield Residual(value, by_rate=by_rate)
             return
-        # a scale error changes the prediction in proportion to the size, for which the reading is taken
+        # a scale error changes the prediction in proportion to the magnitude; the reading is near enough to it
         by_scale = (self.scale_sigma * reading / self.sigma)[:, None, None]
         value = value + by_scale[..., 0] * u[:, None, :]
         yield Residual(value, by_rate=by_rate, by_u=np.broadcast_to(by_scale, (*value.shape, 1)))
 
     def for_search(self) -> list[Self]:
-        """Return the sizes without an unknown scale, whose error is added to their noise."""
-        common = self.scale_sigma * np.sqrt(np.nanmean(self.size**2)) if self.unknowns() else 0.0
-        return [replace(self, sigma=float(np.hypot(self.sigma, common)), scale_sigma=0.0)]
+        """Return the magnitudes without an unknown scale; the rms of its error is added to the noise."""
+        rms_error = self.scale_sigma * np.sqrt(np.nanmean(self.size**2)) if self.unknowns() else 0.0
+        return [replace(self, sigma=float(np.hypot(self.sigma, rms_error)), scale_sigma=0.0)]
 
     def loosened(self, drift_rad: np.ndarray, drift_rad_s: float) -> Self:
-        """Return the sizes with the drift of a start added to their errors."""
+        """Return the magnitudes with larger noise, for a motion whose rate is off by `drift_rad_s`."""
         return replace(self, sigma=float(np.hypot(self.sigma, drift_rad_s)))
 
 
 @dataclass(frozen=True)
 class AttitudeChange(Term):
-    """Attitudes B_from_N (n, 3, 3) of some inertial frame at times `t_s` (n), NaN where not read, with one sigma (rad).
+    """Measured attitudes `B_from_N` (n, 3, 3) at times `t_s` (n), NaN where not read, with one sigma `sigma_rad` about each axis.
 
-    Only the turn between neighbouring samples is used, so that it does not matter which frame it is.
+    N may be any inertial frame, as only the turn between neighbouring samples is used.
     """
 
     name: ClassVar[str] = "attitude"
@@ -219,22 +217,22 @@ class AttitudeChange(Term):
             return None
         quaternion = np.asarray(telemetry[VARIABLES["attitude"]], dtype=np.float64)
         was_read = np.isfinite(quaternion).all(axis=1)
-        read = np.full((len(quaternion), 3, 3), np.nan)
-        read[was_read] = matrix_from_quaternion(quaternion[was_read])
+        B_from_N = np.full((len(quaternion), 3, 3), np.nan)
+        B_from_N[was_read] = matrix_from_quaternion(quaternion[was_read])
         part = vehicle.sensors.with_columns.get("attitude")
         t_s = np.asarray(telemetry["time"], dtype=np.float64)
-        return cls(t_s, read, part.sigma_rad if part is not None else np.inf)
+        return cls(t_s, B_from_N, part.sigma_rad if part is not None else np.inf)
 
     def present(self) -> np.ndarray:
-        """Return which samples (n) are compared with the one before: both have a reading."""
+        """Return which samples (n) are compared with the previous one: both have a reading."""
         read = np.isfinite(self.B_from_N[:, 0, 0]) & np.isfinite(self.sigma_rad)
         return read & np.concatenate([[False], read[:-1]])
 
     def residuals(self, states: States, u: np.ndarray) -> Iterator[Residual]:
-        """Yield the turn (K, n, 3) of the body since the sample before less the one read, in sigmas.
+        """Yield the predicted less the measured turn (K, n, 3) of the body since the previous sample, in sigmas.
 
-        The value is the rotation vector from the turn that was read to that of the motion. Both are nearly alike, so that small
-        turns add to it as vectors: that gives the derivatives.
+        The value is the rotation vector that takes the measured turn to the predicted one. It is small, so that a further small
+        turn adds to it as a vector: hence the derivatives.
         """
         was_read = self.present()
         if not was_read.any():
@@ -242,8 +240,9 @@ class AttitudeChange(Term):
         turn_read = self.B_from_N @ np.swapaxes(at_sample_before(self.B_from_N), -1, -2)
         turn_read = np.where(was_read[:, None, None], turn_read, np.eye(3))
         before = at_sample_before(states.attitude, axis=1)
+        # matrices of the turns; they take a turn at the previous sample to the axes of this one
         relative = states.attitude @ np.swapaxes(before, -1, -2)
-        # A turn has the errors of two readings, hence sqrt 2. That neighbouring turns share a reading is left out.
+        # A turn has the errors of two readings, hence sqrt 2. The correlation of turns that share a reading is neglected.
         inverse = np.where(was_read, 1 / (np.sqrt(2) * self.sigma_rad), 0.0)[:, None]
         turn_read = np.broadcast_to(turn_read, relative.shape)
         value = rotation_between(turn_read, relative) * inverse
@@ -252,27 +251,26 @@ class AttitudeChange(Term):
         yield Residual(value, by_turn, by_previous=by_previous, law=gaussian)
 
     def loosened(self, drift_rad: np.ndarray, drift_rad_s: float) -> Self:
-        """Return the attitudes with the drift of a start added to their errors."""
+        """Return the attitudes with a larger sigma, for a motion whose attitude is off by `drift_rad` (n)."""
         return replace(self, sigma_rad=float(np.hypot(self.sigma_rad, drift_rad.max())))
 
     def starts(self, sample: int) -> Starts:
-        """Return constant rates (r, 3) that make the turn from a sample to the next, with whole turns more and less."""
+        """Return the constant rates that make the turn from a sample to the next, with whole revolutions more and fewer."""
         pair = self.B_from_N[sample : sample + 2]
         if len(pair) < 2 or not np.isfinite(pair).all():
             return Starts()
         dt = self.t_s[sample + 1] - self.t_s[sample]
-        # a turn t of the body takes its attitude to exp(-[t x]) times it
         angle = rotation_between(pair[0], pair[1])
         size = max(float(np.linalg.norm(angle)), 1e-9)
-        turns = 2 * np.pi * np.arange(-WHOLE_TURNS, WHOLE_TURNS + 1)[:, None]
-        return Starts(rates=angle / dt * (1 + turns / size))
+        revolutions = 2 * np.pi * np.arange(-MOST_REVOLUTIONS, MOST_REVOLUTIONS + 1)[:, None]
+        return Starts(rates=angle / dt * (1 + revolutions / size))
 
 
 @dataclass(frozen=True)
 class Latency(Term):
-    """Gyro, magnetometer and attitude of a row are `late_s` (s) older than its Sun, with the sigma `sigma_s` (s) of that.
+    """Time offset of gyro, magnetometer and attitude sensor: they are read `late_s` (s) before the Sun of the same row.
 
-    It reads nothing: a fit moves a motion back by so much before it asks these sensors.
+    `sigma_s` (s): its sigma. The term has no readings. The fit predicts these sensors from the motion at the earlier time.
     """
 
     name: ClassVar[str] = "clock"
@@ -282,11 +280,11 @@ class Latency(Term):
     sigma_s: float
 
     def unknowns(self) -> tuple[Unknown, ...]:
-        """Return the latency, unless it is known exactly."""
+        """Return the time offset, unless it is known exactly."""
         if not self.sigma_s:
             return ()
         return (Unknown("late_s", "clock", "s", self.late_s, self.sigma_s),)
 
     def for_search(self) -> list[Self]:
-        """Return a latency of zero: it is small against the errors of starts, which a search adds to those of the sensors."""
+        """Return a time offset of zero: its effect is small against the errors of starts, which a search adds to the sigmas."""
         return [replace(self, late_s=0.0, sigma_s=0.0)]

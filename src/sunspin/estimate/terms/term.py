@@ -1,11 +1,14 @@
-"""A term of a model: what one sensor read, and what it would read of a motion; or what a torque does.
+"""Base class of the terms of a model. A term has the readings of one sensor and predicts them, or has the effect of one torque.
 
-A fit asks each term for the differences of its predictions from its readings, in sigmas, with their derivatives. On what a term
-depends it says by the derivatives that it returns. Who asks for what:
+Conventions of all terms: K motions, n samples, r numbers in a reading, m unknowns of the term. B are body axes. N is fixed in
+space, with z towards the Sun. Attitudes are matrices B_from_N. A turn is a rotation of the body, as a rotation vector in B (rad).
+Unknowns u are counted in sigmas of their priors.
+
+Which methods are called by which module:
 
 - `observe`: `take`, `of_pass`, `present`; the fit (`chain`): `unknowns`, `residuals`, or of torques `added_by_*`;
-- the search (`starts`, `field_led`): `for_search`, `starts`, `loosened`, and `begin` when its motions go on to the fit;
-- other models (`alternatives`, `swings`): `without`, `held`; the verdict (`dense`): `freedom`.
+- the search (`starts`, `field_led`): `for_search`, `starts`, `loosened`, and then `first_guess` for the fit of its motions;
+- alternative models (`swings`): `with_fixed_unknowns`; residuals at all samples (`dense`): `freedom`, `with_errors_of`.
 """
 
 from __future__ import annotations
@@ -20,33 +23,38 @@ from sunspin.estimate.model import States, Unknown
 from sunspin.solve.rotations import cross
 
 FREEDOM = 4.0
-"""Degrees of freedom of Student's law of the readings at a sample: its tails let one bad sample in ten be outvoted."""
+"""Degrees of freedom of Student's law of the readings at a sample: with its wide tails one bad sample in ten does little harm."""
 
 Law = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
-"""Function from differences (..., r) in sigmas to their cost (...) and the weight (...) of their squares in a step of a fit."""
+"""Function from differences (..., r) in sigmas to their cost (...), minus the log of their probability density up to a constant,
+and to the weights, (...) or (..., r), of their squares in a Gauss-Newton step: twice the derivatives of the cost by the squares."""
 
 
 def student(value: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return cost and weight (...) of the readings at a sample (..., r) under one Student's law for all of them.
+    """Return cost and weight (...) of differences (..., r), in sigmas, under one Student's law for all r readings of a sample.
 
-    They share it since what makes one reading of a sample bad mostly makes all of them bad. The factor (FREEDOM + 2) / 2 is that of
-    a law of two numbers.
+    They share one law since what makes one reading of a sample bad mostly makes all of them bad. The factor (FREEDOM + 2) / 2 is
+    that of the law of two numbers, as a direction has.
     """
     square = np.einsum("...r,...r->...", value, value)
     return (FREEDOM + 2) / 2 * np.log1p(square / FREEDOM), (FREEDOM + 2) / (FREEDOM + square)
 
 
 def gaussian(value: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return cost and weight (...) of readings (..., r) with normally distributed errors."""
+    """Return cost and weight (...) of differences (..., r), in sigmas, under a normal law: half the sum of squares, and one."""
     return np.einsum("...r,...r->...", value, value) / 2, np.ones(value.shape[:-1])
 
 
 class Residual(NamedTuple):
-    """Differences of predictions from readings in stated sigmas, with derivatives.
+    """Predictions less readings, in stated sigmas, with derivatives; a derivative is None if the difference does not depend on it.
 
-    `value` (K, n, r), zero where nothing was read; `by_turn` (K, n, r, 3) by a turn of the body at the sample (rad, B); `by_rate`
-    (K, n, r, 3) by its rate; `by_previous` (K, n, r, 3) by a turn at the sample before, for a term that compares neighbours;
-    `by_u` (K, n, r, m) by one sigma of each of the term's unknowns. None: it does not depend on that.
+    Attributes
+    ----------
+    value : (K, n, r), zero where nothing was read
+    by_turn, by_rate : (K, n, r, 3), by a small turn of the body at the sample (rad, B), and by its rate (rad/s, B)
+    by_previous : (K, n, r, 3), by a small turn at the previous sample, for a term that compares neighbouring samples
+    by_u : (K, n, r, m), by one sigma of each unknown of the term
+    law : function to the cost and the weight of `value`
     """
 
     value: np.ndarray
@@ -58,10 +66,10 @@ class Residual(NamedTuple):
 
 
 class Starts(NamedTuple):
-    """What a term knows at a sample from which a search may start.
+    """Sun directions and rates that the readings of a term allow at a sample: a search may start from them.
 
-    `directions` (c, 3): those to the Sun, in B, that it allows, the best first. `rates` (r, 3) in rad/s; `rate_sigma` (rad/s):
-    their sigma if they leave no doubt about whole turns to the next sample, else infinity.
+    `directions` (c, 3): unit vectors to the Sun in B, the best first. `rates` (j, 3) in rad/s, B. `rate_sigma` (rad/s): sigma of
+    each component of the rates if they were measured, infinite if they are known only up to whole revolutions between samples.
     """
 
     directions: np.ndarray = np.zeros((0, 3))
@@ -71,36 +79,38 @@ class Starts(NamedTuple):
 
 @dataclass(frozen=True)
 class Term:
-    """What one sensor reads of a motion, or a torque does to it, at n samples. By default there are no readings and no unknowns."""
+    """One sensor or one torque at n samples. By default it has no readings, exerts no torque, and has no unknowns."""
 
     name: ClassVar[str]
     """Its name in files."""
     label: ClassVar[str]
-    """What a person calls it; terms that see the same thing share it."""
+    """Name of the sensor for a reader; terms of one sensor share it."""
     of_sun: ClassVar[bool] = False
-    """Whether it shows the direction to the Sun."""
+    """Whether its readings depend on the direction to the Sun in the body."""
     about_sun: ClassVar[bool] = False
-    """Whether it shows the turn about the Sun."""
+    """Whether it determines the rotation about the Sun direction, which Sun sensors and panels do not show."""
     per_sample: ClassVar[tuple[str, ...]] = ()
-    """Its arrays whose first axis are the samples; None stands for one that is not known."""
+    """Names of its arrays whose first axis are the samples; such an array may be None."""
     axes_rad_s: ClassVar[float] = 0.0
-    """How fast the axes of N turn in space, at most, if they follow what this term reads."""
+    """Largest rate at which the axes of N rotate in space (rad/s): not zero if they follow a field that this term measures."""
 
     def of_pass(self, t_s: np.ndarray) -> Self:
-        """Return the term of one pass with samples at times (n), with the unknowns that are constant in it."""
+        """Return the term of one pass with samples at times `t_s` (n), with the unknowns that are constant in the pass."""
         return self
 
     def take(self, samples: Any) -> Self:
-        """Return the term of some samples."""
-        known = (name for name in self.per_sample if getattr(self, name) is not None)
-        return replace(self, **{name: getattr(self, name)[samples] for name in known})
+        """Return the term of some samples, by index or slice."""
+        arrays = {name: getattr(self, name) for name in self.per_sample}
+        return replace(
+            self, **{k: array[samples] for k, array in arrays.items() if array is not None}
+        )
 
     def present(self) -> np.ndarray:
-        """Return at which samples (n) it has a reading."""
+        """Return which samples (n) have a reading; empty if the term has no readings at all."""
         return np.zeros(0, dtype=bool)
 
     def freedom(self) -> np.ndarray:
-        """Return how many independent numbers each reading (n) has, 0 where there is none."""
+        """Return how many degrees of freedom the residual of each sample (n) has; 0 where nothing was read."""
         return 3 * self.present()
 
     def unknowns(self) -> tuple[Unknown, ...]:
@@ -108,76 +118,93 @@ class Term:
         return ()
 
     def residuals(self, states: States, u: np.ndarray) -> Iterator[Residual]:
-        """Yield the differences of motions from readings; u (K, m): the unknowns of this term, in sigmas."""
+        """Yield the differences of predictions from readings for K motions with unknowns u (K, m) of this term, in sigmas."""
         yield from ()
 
     def added_by_unknowns(self, states: States, dt: np.ndarray) -> np.ndarray | None:
-        """Return turn and rate (K, n - 1, 6, m) that one sigma of each unknown adds in intervals dt; None if it is no torque."""
-        return None
+        """Return what one sigma of each unknown torque adds to the state in the intervals dt (n - 1), s, between samples.
 
-    def added_by_torque(self, states: States, dt: np.ndarray) -> np.ndarray | None:
-        """Return turn (rad) and rate (rad/s) (K, n - 1, 6) at the end of each interval dt (n - 1) that a known torque adds.
-
-        They are in the body's axes at that instant. None if there is no torque.
+        The result (K, n - 1, 6, m) has turn (rad) and rate (rad/s) as in `added_by_torque`. None: there is no unknown torque.
         """
         return None
 
-    def begin(self, states: States, about_sun: bool) -> tuple[np.ndarray, np.ndarray]:
-        """Return attitudes (K, n, 3, 3) and unknowns (K, m) from which a fit of motions that a search has found begins.
+    def added_by_torque(self, states: States, dt: np.ndarray) -> np.ndarray | None:
+        """Return what a known torque adds to the state in the intervals dt (n - 1), s, between samples.
 
-        `about_sun`: the turn about the Sun is known already.
+        The result (K, n - 1, 6) has turn (rad), then rate (rad/s), in the body axes at the end of the interval. None: there is no
+        known torque.
+        """
+        return None
+
+    def first_guess(self, states: States, about_sun: bool) -> tuple[np.ndarray, np.ndarray]:
+        """Return attitudes (K, n, 3, 3) and unknowns (K, m) from which a fit begins, given the motions of a search.
+
+        `about_sun`: the rotation about the Sun direction is already known in `states`.
         """
         return states.attitude, np.zeros((len(states.omega), len(self.unknowns())))
 
     def for_search(self) -> Sequence[Term]:
-        """Return the term without unknowns, whose errors are added to the noise; several if readings may mean several things."""
+        """Return the term for the search: without unknowns, and with their errors added to the noise.
+
+        There are several terms if the readings have several meanings, each of which is searched.
+        """
         return [self]
 
-    def held(self, u: np.ndarray) -> Self:
-        """Return the term without unknowns, which are held at u (m)."""
+    def with_fixed_unknowns(self, u: np.ndarray) -> Self:
+        """Return the term without unknowns: they have the fixed values u (m), in sigmas."""
         return self
 
     def loosened(self, drift_rad: np.ndarray, drift_rad_s: float) -> Self:
-        """Return the term with larger sigmas, for a start that is off by `drift_rad` (n) in attitude and `drift_rad_s` in rate."""
+        """Return the term with larger sigmas, for a motion that is off by `drift_rad` (n) in attitude and `drift_rad_s` in rate."""
         return self
 
     def log_errors(self) -> float:
-        """Return the sum over the samples of the log of the errors of a direction, two numbers each; zero if no Sun is seen."""
+        """Return twice the log of the sigma of the Sun's direction or signal, summed over the samples; zero for other sensors.
+
+        Twice, as a direction has two components.
+        """
         return 0.0
 
     def with_errors_of(self, fitted: Any) -> Self:
-        """Return the term with the unknowns that it has in a fitted model: an alternative one may have more than the nominal one.
+        """Return the term with the unknowns of `fitted`, the same term of a fitted model at some of the samples.
 
-        `fitted`: the same term there, at some of the samples.
+        An alternative model may have more unknowns than the nominal one.
         """
         return self
 
     def starts(self, sample: int) -> Starts:
-        """Return what its readings at a sample and the next one say of where a search may start."""
+        """Return the directions and rates that the readings of a sample (its index) and of the next one allow."""
         return Starts()
 
 
-def drifting(t_s: np.ndarray, sigma: float, rate_rad_s: float) -> np.ndarray:
-    """Return one sigma (n, 6, 3) of each of the six unknowns of a vector that drifts evenly over a pass at times (n).
+def drifting_vector(t_s: np.ndarray, sigma: float, rate_rad_s: float) -> np.ndarray:
+    """Return the derivatives (n, 6, 3) of a vector that changes linearly over a pass, at times `t_s` (n), by six unknowns u.
 
-    The vector at t is `sigma` (u[0:3] + `rate_rad_s` (t - mean time) u[3:6]): it drifts as fast as a turn at this rate makes it.
+    The vector is `sigma` (u[0:3] + `rate_rad_s` (t - mean time) u[3:6]): its change is about that of a rotation at this rate.
     """
-    away = rate_rad_s * (t_s - t_s.mean())
-    # (n, 2): of the mean, and of the drift
-    sigmas = sigma * np.stack([np.ones(len(t_s)), away], axis=1)
-    return (sigmas[:, :, None, None] * np.eye(3)).reshape(len(t_s), 6, 3)
+    angle = rate_rad_s * (t_s - t_s.mean())
+    # (n, 2): factors of the mean, u[0:3], and of the change, u[3:6]
+    factors = sigma * np.stack([np.ones(len(t_s)), angle], axis=1)
+    return (factors[:, :, None, None] * np.eye(3)).reshape(len(t_s), 6, 3)
 
 
 def at_sample_before(values: np.ndarray, axis: int = 0) -> np.ndarray:
-    """Return values with those of the sample before in place of each, and the first twice; `axis`: that of the samples, 0 or 1."""
+    """Return an array of the same shape with the values of the previous sample; those of the first sample stay.
+
+    `axis`: that of the samples, 0 or 1.
+    """
     if axis == 0:
         return np.concatenate([values[:1], values[:-1]])
     return np.concatenate([values[:, :1], values[:, :-1]], axis=1)
 
 
 def facing(sun_B: np.ndarray) -> np.ndarray:
-    """Return an attitude (..., 3, 3), B_from_N, that shows the Sun in the direction `sun_B` (..., 3); the turn about it is any."""
-    aside = np.where(np.abs(sun_B[..., :1]) < 0.7, [1.0, 0.0, 0.0], [0.0, 1.0, 0.0])
-    x = cross(aside, sun_B)
+    """Return attitudes B_from_N (..., 3, 3) with the Sun, the z axis of N, in the directions `sun_B` (..., 3).
+
+    The rotation about the Sun direction is arbitrary.
+    """
+    # x or y axis of the body, the one that is surely not parallel to the Sun
+    helper = np.where(np.abs(sun_B[..., :1]) < 0.7, [1.0, 0.0, 0.0], [0.0, 1.0, 0.0])
+    x = cross(helper, sun_B)
     x = x / np.linalg.norm(x, axis=-1, keepdims=True)
     return np.stack([x, cross(sun_B, x), sun_B], axis=-1)
