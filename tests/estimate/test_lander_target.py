@@ -184,7 +184,7 @@ def test_noise_is_not_taken_for_less_because_times_fit_it():
     fitting.fit_under(1.0, 8)
     fitting.fit_noise()
     fitted = fitting.motions.u[0, model.indices("noise")[0]]
-    value = fitting.problem.of_panels(fitting.system.extras.residuals)
+    value = fitting.problem.panel_residuals(fitting.system.extras.residuals)
     own = fitting.motions.u[:, model.of_panels]
     of_all = model.panels.best_noise(value, own, np.zeros(1), -5.0)
     assert abs(fitted) < 2.5

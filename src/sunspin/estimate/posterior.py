@@ -421,9 +421,9 @@ def _findings(
     check: PredictiveCheck,
     outliers: np.ndarray,
 ) -> PosteriorFindings:
-    """Return the quantities that decide the verdict; of the doubts only one, and `complete` true: :func:`posterior` has the others.
+    """Return the quantities that decide the verdict; `outliers` (n, p): probability of each reading to be an outlier.
 
-    `outliers` (n, p): probability of each reading to be an outlier.
+    Only the doubt about starts is among them, and `complete` is true: :func:`posterior` adds other doubts and sets `complete`.
     """
     solutions, panels = group(tree, "solutions"), nominal.fit.model.panels
     probability = solutions["probability"].values

@@ -170,10 +170,10 @@ class Shooting:
         return motions.take(np.unique(even))
 
     def widened(self, motions: LanderMotions, window: slice, wider: slice) -> LanderMotions:
-        """Return the motions to be fitted to a wider window: those of a window, and neighbours along their ridges.
+        """Return the motions to be fitted to a wider window: those of a window, and neighbours of these.
 
-        Motions that the samples next to the window rule out are left out first: the comparison with a sample takes one run of a
-        motion, a fit forty. If it rules all motions out, none is dropped, as a bad sample must not end the search.
+        Those that the samples next to the window rule out are dropped: the comparison with a sample takes one run of a motion, a
+        fit forty. If it rules all motions out, none is dropped, as a bad sample must not end the search.
         """
         shooting, reach_s = self.shooting, float(np.abs(self.t_s[wider]).max())
         is_grid = window.stop - window.start <= shooting.grid_samples
@@ -190,8 +190,8 @@ class Shooting:
             motions = motions.take(allowed)
         # A window may take a third of the work that is left, in motions times samples, so that something is left for later windows.
         samples = wider.stop - wider.start
-        work = max(shooting.most_search - self.work, shooting.least_work) // 3
-        most = min(shooting.most_work, work) // samples
+        third = max(shooting.most_search - self.work, shooting.least_work) // 3
+        most = min(shooting.most_work, third) // samples
         self._announce(len(motions), most, samples)
         return self._at_most(motions, most, f"({samples} samples)")
 
@@ -268,19 +268,15 @@ class Shooting:
     def fit_all_samples(self, motions: LanderMotions) -> ModelFit:
         """Return motions and their symmetric solutions fitted to all samples with all unknowns free, without copies."""
         fit = self._fit_without_symmetry(motions)
-        symmetries = (
-            self.model.panels.response.symmetries
-        )  # orthogonal matrices (3, 3), the identity first
+        # rotations and mirrors (3, 3) of the panels, the identity first
+        symmetries = self.model.panels.response.symmetries
         if len(symmetries) == 1:
             return fit
         # The search may miss symmetric solutions, which no reading distinguishes. A mirror reverses rates, which are axial vectors.
-        omega, sun = fit.motions.omega, fit.motions.sun
-        images = [
-            replace(
-                fit.motions, omega=np.linalg.det(matrix) * (omega @ matrix.T), sun=sun @ matrix.T
-            )
-            for matrix in symmetries
-        ]
+        motions, images = fit.motions, []
+        for matrix in symmetries:
+            omega = np.linalg.det(matrix) * (motions.omega @ matrix.T)
+            images.append(replace(motions, omega=omega, sun=motions.sun @ matrix.T))
         return self._fit_without_symmetry(LanderMotions.joined(images))
 
     def _fit_without_symmetry(self, motions: LanderMotions) -> ModelFit:
@@ -324,9 +320,8 @@ def log_evidence(model: LanderModel, cost: np.ndarray, curvature: np.ndarray) ->
 
     It is relative to readings just as predicted under the stated noise, so that models of the same readings compare.
     """
-    floor = 1e-9 * np.eye(
-        curvature.shape[-1]
-    )  # for directions that neither readings nor priors determine
+    # for directions that neither readings nor priors determine
+    floor = 1e-9 * np.eye(curvature.shape[-1])
     # inverse of the prior density of rate and direction, and the part of the unknowns' prior that is allowed
     prior = np.log(4 / 3 * np.pi * model.max_rate**3) + np.log(4 * np.pi) + model.log_possible
     # of the (2 pi)^(D / 2) of a normal density the norm of the unknowns' prior cancels (2 pi)^(m / 2); five coordinates are left

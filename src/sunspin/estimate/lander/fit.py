@@ -193,17 +193,17 @@ class FitProblem:
         rotation = np.moveaxis(cross(track_slopes[..., TRACK_SUN], states.sun[:, None]), 1, -1)
         rate = np.moveaxis(track_slopes[..., TRACK_RATE], 1, -1)  # both (K, n, 3, c)
         # the first c columns of the Jacobian are coordinates that change the motion, the others fitted unknowns of the panels
-        of_panels = self.fitted_unknowns[len(self.motion_unknowns) :] - len(model.of_motion)
+        panel_unknowns = self.fitted_unknowns[len(self.motion_unknowns) :] - len(model.of_motion)
         values, jacobians = [], []
         for term in (model.panels, *model.given):
             for residual in term.residuals(states, motions.u[:, model.of_panels]):
-                jacobian = np.zeros((*residual.value.shape, c + len(of_panels)))
+                jacobian = np.zeros((*residual.value.shape, c + len(panel_unknowns)))
                 if c and residual.by_turn is not None:
                     jacobian[..., :c] += residual.by_turn @ rotation
                 if c and residual.by_rate is not None:
                     jacobian[..., :c] += residual.by_rate @ rate
                 if residual.by_u is not None:
-                    jacobian[..., c:] = residual.by_u[..., of_panels]
+                    jacobian[..., c:] = residual.by_u[..., panel_unknowns]
                 values.append(residual.value.reshape(count, -1))
                 jacobians.append(jacobian.reshape(*values[-1].shape, jacobian.shape[-1]))
         residuals, jacobian = np.concatenate(values, axis=1), np.concatenate(jacobians, axis=1)
@@ -212,7 +212,7 @@ class FitProblem:
         jacobian = np.where(np.isfinite(jacobian) & computed[:, None, None], jacobian, 0.0)
         return LinearReadings(residuals, jacobian, computed, track_slopes, track)
 
-    def of_panels(self, residuals: np.ndarray) -> np.ndarray:
+    def panel_residuals(self, residuals: np.ndarray) -> np.ndarray:
         """Return the residuals (K, n, p) of the panels, which come first among all (K, R)."""
         shape = self.model.panels.power.shape
         return residuals[:, : shape[0] * shape[1]].reshape(-1, *shape)
@@ -222,7 +222,7 @@ class FitProblem:
     ) -> tuple[np.ndarray, np.ndarray]:
         """Return cost (K) and weights (K, R) of residuals under `noise_factor` times the noise; only panels have outliers."""
         law = self.model.panels.law(u[:, self.model.of_panels], noise_factor)
-        by_sample, weight = law(self.of_panels(residuals))
+        by_sample, weight = law(self.panel_residuals(residuals))
         others = residuals[:, weight[0].size :]
         cost = by_sample.sum(axis=1) + 0.5 * np.sum(others**2, axis=1)
         return cost, np.concatenate([weight.reshape(len(u), -1), np.ones_like(others)], axis=1)
@@ -404,7 +404,7 @@ class Fitting:
         if panels.time_s:
             # with the best errors of times residuals are smaller than the noise
             freedom = freedom + panels.taken_by_times(states_of(linear.track), u[:, of_panels])
-        residuals = self.problem.of_panels(linear.residuals)
+        residuals = self.problem.panel_residuals(linear.residuals)
         u[:, of_panels] = panels.best_noise(residuals, u[:, of_panels], freedom, least)
         self.motions = replace(self.motions, u=u)
         self.system = self.problem.equations(u, linear, self.noise_factor)
@@ -433,7 +433,7 @@ class Fitting:
         curvature[:, free[:, None], free] = problem.reading_curvature(u, linear, self.noise_factor)
         unknowns = np.arange(STATE_SIZE, model.dimension)
         curvature[:, unknowns, unknowns] += model.prior_cost(u, problem.sizes)[1]
-        residuals = problem.of_panels(linear.residuals)
+        residuals = problem.panel_residuals(linear.residuals)
         for i in model.indices("noise"):
             at = STATE_SIZE + i
             curvature[:, at, at] += model.panels.noise_curvature(residuals, u[:, model.of_panels])

@@ -350,6 +350,7 @@ class LanderModel:
         t_s, rows = self.obs.t_s, self.rows(motions)
         sun, omega = (np.empty((len(motions), len(t_s), 3)) for _ in range(2))
         computed = np.ones(len(motions), dtype=bool)
+        # samples in the order in which runs reach them from the reference
         before, after = np.flatnonzero(t_s < 0)[::-1], np.flatnonzero(t_s >= 0)
         for samples in (before, after):
             if len(samples):
@@ -376,7 +377,7 @@ class LanderModel:
         with np.errstate(invalid="ignore"):
             total = self.panels.log_density(states, u[:, self.of_panels])
             for term in self.given:
-                for residual in term.residuals(states, u[:, :0]):
+                for residual in term.residuals(states, u[:, :0]):  # these have no unknowns
                     total = total - residual.law(residual.value)[0].sum(axis=1)
         computed = np.isfinite(states.sun_B).all(axis=(1, 2)) & np.isfinite(total)
         return np.where(computed, total, -np.inf)

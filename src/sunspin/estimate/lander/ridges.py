@@ -105,9 +105,10 @@ class Chart:
         # without outer unknowns one combination at least is outer, so that y is not empty
         weak = int(np.sum(variance > settings.soft_rad**2))
         weak = int(np.clip(weak, len(unknowns) == 0, settings.most_softs))
-        curved = np.append(
-            np.arange(weak), weak + np.searchsorted(unknowns, target.motion_unknowns)
-        )
+        of_motion = np.searchsorted(
+            unknowns, target.motion_unknowns
+        )  # their places among the outer
+        curved = np.append(np.arange(weak), weak + of_motion)
         return cls(centre, vectors[:, ::-1].T @ to_rad, weak, unknowns, curved)
 
     @property
@@ -435,7 +436,7 @@ def fit_stiff(
         """Return the normal equations in z and the reading unknowns, from those of rate, direction and reading unknowns."""
         motions = chart.motions(state.y, state.z, state.u)
         system = target.linearised(motions, state.slopes, noise_factor)
-        # chain rule: `change` (n, 5 + s, q + s) are the derivatives of the old coordinates by the new ones
+        # chain rule with the derivatives `change` (n, 5 + s, q + s) of the old coordinates by the new ones
         change = np.zeros((len(motions), STATE_SIZE + len(reading), q + len(reading)))
         change[:, :STATE_SIZE, of_z] = chart.stiff_steps(motions, state.y, state.z)
         change[:, STATE_SIZE:, of_reading] = np.eye(len(reading))

@@ -75,9 +75,8 @@ def observe_window(
     vehicle.require_panels()
     power, times = signals(telemetry), np.asarray(telemetry["time"], dtype=np.float64)
     if power.ndim != 2 or power.shape[1] != len(vehicle.inputs):
-        raise InputError(
-            "the telemetry's panels are not the vehicle's", got=f"{power.shape[-1]} columns"
-        )
+        what = "the telemetry's panels are not the vehicle's"
+        raise InputError(what, got=f"{power.shape[-1]} columns")
     inside, remarks = _stretch(telemetry, times, begin_s, end_s, phase)
     measured = quality["measured"].values
     index = np.flatnonzero(inside & np.isfinite(times) & measured.any(axis=1))
@@ -101,14 +100,14 @@ def observe_window(
     brightness = _brightness(vehicle, power, used, sigma, threshold)
     require_known(observations, float(times[index[0]]), float(times[index[-1]]))
 
-    # Another observation becomes a sample without panels, unless there is a sample at exactly its time. `place`: number of the
-    # sample, first of the readings, then of the other observations.
+    # Another observation becomes a sample without panels, unless there is a sample at exactly its time. `place`: numbers of the
+    # samples, first of the readings, then of the other observations.
     given_s = np.array([float(observation["t_s"]) for observation in observations])
     t_s, place = np.unique(np.concatenate([times[index], given_s]), return_inverse=True)
     place_read, place_given = np.split(place.ravel(), [len(index)])
     all_power, all_used = (np.zeros((len(t_s), power.shape[1]), kind) for kind in (float, bool))
     all_power[place_read], all_used[place_read] = power, used
-    read = PanelPowers(
+    readings = PanelPowers(
         power=all_power,
         used=all_used,
         sigma=np.asarray(sigma, dtype=np.float64),
@@ -122,7 +121,7 @@ def observe_window(
         Given.of(observation, int(sample), len(t_s))
         for observation, sample in zip(observations, place_given, strict=True)
     )
-    obs = Observations(t_s - t_s[0], np.zeros((len(t_s), 3)), (read, *given))
+    obs = Observations(t_s - t_s[0], np.zeros((len(t_s), 3)), (readings, *given))
     return Window(obs, float(t_s[0]), noise_from, tuple(remarks))
 
 
@@ -161,14 +160,14 @@ def _stretch(
 def _left_out(quality: xr.Dataset, is_finite: np.ndarray, inside: np.ndarray) -> list[str]:
     """Return remarks on samples that were left out wholly or in part: how many for each reason.
 
-    `quality`: what the assessment says of each reading; `is_finite` (n, p): readings that are numbers; `inside` (n): samples of the
-    stretch.
+    `quality`: use of each sample and reading; `is_finite` (n, p): readings that are numbers; `inside` (n): samples of the stretch.
     """
     measured, why = quality["measured"].values, quality["why"].values
     wholly = inside & ~measured.any(axis=1)
+    # a panel that is dead in the whole file ("missed") is no reason of a single sample
     unused = is_finite & ~measured & ~quality["missed"].values
     partly = inside & ~wholly & unused.any(axis=1)
-    # a text is "left out: REASON" or "used: ..."
+    # a text is "dropped: REASON", "down-weighted: REASON" or "used: REASON"
     reasons = Counter(str(text) for text in why[wholly | partly] if not text.startswith("used"))
     return [
         f"left out in {count} sample{'s' * (count > 1)}: {text.partition(': ')[2]}"
@@ -215,9 +214,7 @@ def _likeliest_brightness(
     largest = light[samples].max(axis=1)
     low = max(float(np.median(largest)), DIMMEST * float(largest.max()))
     tried = np.exp(np.arange(np.log(low), np.log(WIDEST * largest.max()), BRIGHTNESS_STEP))
-    unit_power = panels.panel_power(
-        vehicle, sphere(grid.directions)
-    )  # (directions, p), brightness one
+    unit_power = panels.panel_power(vehicle, sphere(grid.directions))  # (directions, p)
     log_density = np.zeros(len(tried))
     for i, brightness in enumerate(tried):
         # the noise, and the change of power from a direction to the nearest one that is tried
@@ -229,7 +226,7 @@ def _likeliest_brightness(
     return float(tried[np.argmax(log_density)])
 
 
-def with_unknowns(obs: Observations, read: PanelPowers) -> Observations:
-    """Return observations in which `read`, the same panels with their unknowns, replaces the panels."""
-    terms = tuple(read if isinstance(term, PanelPowers) else term for term in obs.terms)
+def with_unknowns(obs: Observations, readings: PanelPowers) -> Observations:
+    """Return observations with `readings`, the same panels with their unknowns, in place of the panels."""
+    terms = tuple(readings if isinstance(term, PanelPowers) else term for term in obs.terms)
     return replace(obs, terms=terms)
