@@ -362,8 +362,8 @@ def _nothing_drawn(model: LanderModel) -> InputError:
             )
             return replace(model, of_motion=tuple(unknowns))
 
-        most = np.log(MOST_BODIES)
-        advised = (x for x in ADVISED_SIGMAS if with_inertia_sigma(x).log_possible > most)
+        enough = np.log(MOST_BODIES)
+        advised = (x for x in ADVISED_SIGMAS if with_inertia_sigma(x).log_possible > enough)
         return InputError(
             "hardly any inertia within its sigma is that of a body, and none that was drawn fits the readings",
             got=f"{possible:.2g} of the prior",
@@ -391,14 +391,13 @@ def _require_whole(seed: Any, draws: Any) -> None:
 def _about(
     nominal: NominalSearch, telemetry: xr.Dataset, priors: Mapping[str, Any] | None, wheel_mode: Any
 ) -> dict[str, Any]:
-    """Return the attributes of the result that describe its telemetry, its priors and the search."""
+    """Return the attributes of the result that describe its origin, telemetry, priors and search."""
     window, reference, model = nominal.window, nominal.carrier.reference, nominal.fit.model
     comments = {"comments": telemetry.attrs["comments"]} if "comments" in telemetry.attrs else {}
     mode = wheel_mode if isinstance(wheel_mode, str) else list(wheel_mode)
     t_s = window.start_s + window.obs.t_s[model.panels.present()]
-    return provenance(
-        "posterior", telemetry, **comments, **nominal.assessment.vehicle.result_attributes
-    ) | {
+    of_vehicle = nominal.assessment.vehicle.result_attributes
+    return provenance("posterior", telemetry, **comments, **of_vehicle) | {
         "t_first_s": window.start_s,
         "t_last_s": float(t_s[-1]),
         "noise": float(np.median(model.panels.sigma)),

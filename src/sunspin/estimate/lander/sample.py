@@ -34,7 +34,7 @@ def sample(
     """
     budget = Budget(np.inf) if budget is None else budget
     ridges = ridges_of(target, fit, settings)
-    # Find the course of each ridge, that of improbable ones by fewer points.
+    # Fit the curve of each ridge, that of improbable ones by fewer points.
     log_mass = np.array([ridge.laplace_log_mass for ridge in ridges])
     improbable = log_mass < log_mass.max() + np.log(settings.small)
     points = np.where(improbable, settings.trace_small, settings.trace)
@@ -53,7 +53,7 @@ def sample(
         draws, log_shares = pooled(ridges, settings.connected)
         rounds.append((draws.log_evidence, draws.effective / len(draws), draws.pareto_k))
         good = draws.effective >= settings.wanted and draws.pareto_k < settings.good_tail
-        # never after the first round alone, whose proposals have not adapted to any draws yet
+        # good draws end it never after the first round, whose proposals have not adapted to any draws yet
         if budget.exhausted() or (number and good) or number + 1 == settings.rounds:
             break
         for ridge, own in zip(ridges, log_shares, strict=True):
@@ -88,9 +88,8 @@ def pooled(ridges: list[Ridge], connected: float) -> tuple[Draws, list[np.ndarra
     drawn = [ridge for ridge in ridges if ridge.proposals is not None]
     proposed = [ridge.proposals for ridge in ridges if ridge.proposals is not None]
     motions = LanderMotions.joined([proposals.motions for proposals in proposed])
-    ridge_of = np.repeat(
-        np.arange(len(drawn)), [ridge.draw_count for ridge in drawn]
-    )  # of each draw
+    # index of the ridge that each draw comes from
+    ridge_of = np.repeat(np.arange(len(drawn)), [ridge.draw_count for ridge in drawn])
     count = len(ridge_of)
     # each ridge has an integral of its own, the mean weight of its draws; the integral of all is the sum of these
     weights = [ridge.log_weights() - np.log(ridge.draw_count) for ridge in drawn]
