@@ -177,16 +177,16 @@ def test_derivatives_of_the_differences_are_those_of_runs():
         0.05 * rng.standard_normal((3, 3)), sun, 0.3 * rng.standard_normal((3, count))
     )
     problem = FitProblem(model, np.ones(count, dtype=bool), FINAL_ERROR)
-    track, track_slopes = problem.derivatives(motions)
-    linear = problem.differences(motions, track, track_slopes)
+    track, track_slopes = problem.track_with_slopes(motions)
+    linear = problem.linear_readings(motions, track, track_slopes)
     nothing = np.zeros_like(track_slopes)
 
     def moved(step):
         """Return the differences after a step."""
         there = motions.moved(np.tile(step, (3, 1)))
-        return problem.differences(there, problem.track(there, 1e-9), nothing).value
+        return problem.linear_readings(there, problem.track(there, 1e-9), nothing).residuals
 
-    for k, coordinate in enumerate(problem.coordinates):
+    for k, coordinate in enumerate(problem.free_coordinates):
         size = 1e-5 if coordinate < 3 else 1e-4
         change = slope_of(moved, size * np.eye(model.dimension)[coordinate], size)
         off = np.abs(change - linear.jacobian[:, :, k])

@@ -184,7 +184,7 @@ def test_noise_is_not_taken_for_less_because_times_fit_it():
     fitting.fit_under(1.0, 8)
     fitting.fit_noise()
     fitted = fitting.motions.u[0, model.indices("noise")[0]]
-    value = fitting.problem.of_panels(fitting.system.extras.value)
+    value = fitting.problem.panel_residuals(fitting.system.extras.residuals)
     own = fitting.motions.u[:, model.of_panels]
     of_all = model.panels.best_noise(value, own, np.zeros(1), -5.0)
     assert abs(fitted) < 2.5
@@ -201,8 +201,8 @@ def test_slopes_are_those_of_the_cost_with_times_at_their_best():
         motion = replace(motions, omega=motions.omega + change)
         track = problem.track(motion, 1e-10)
         still = np.zeros((len(motion), 5, *track.shape[1:]))
-        linear = problem.differences(motion, track, still)
-        return problem.system(motion.u, linear, 1.0).cost[0]
+        linear = problem.linear_readings(motion, track, still)
+        return problem.equations(motion.u, linear, 1.0).cost[0]
 
     for axis, change in enumerate(1e-6 * np.eye(3)):
         assert base.slope[0, axis] == pytest.approx(slope_of(cost, change, 1e-6), rel=0.02, abs=3.0)

@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from sunspin.estimate.lander.mixture import First
-from sunspin.estimate.lander.tree import _listed, _of_proposed
+from sunspin.estimate.lander.mixture import FirstStates
+from sunspin.estimate.lander.tree import _listed, _proposed_covariance
 from sunspin.estimate.lander.verdict import (
     PosteriorFindings,
     accused_panels,
@@ -19,19 +19,19 @@ from sunspin.estimate.lander.verdict import (
 GOOD = PosteriorFindings(
     probability=np.array([1.0]),
     rate=np.array([[0.1, 0.0, 0.0]]),
-    length=np.array([1e-3]),
+    longest_sigma=np.array([1e-3]),
     speed=np.array([0.1]),
     interval_s=20.0,
-    p=0.5,
+    p_value=0.5,
     noise_sigmas=0.0,
     accused=[],
-    tail=0.1,
+    pareto_k=0.1,
     effective=3000.0,
     doubts=[],
     dark="",
     complete=True,
 )
-NONE_FITS = replace(GOOD, p=0.001, complete=False)
+NONE_FITS = replace(GOOD, p_value=0.001, complete=False)
 
 
 def aliases(*probability: float, apart: float = 0.1) -> PosteriorFindings:
@@ -40,7 +40,7 @@ def aliases(*probability: float, apart: float = 0.1) -> PosteriorFindings:
     rate = np.stack([apart * np.arange(1, count + 1), np.zeros(count), np.zeros(count)], axis=1)
     lengths, speed = np.full(count, 1e-3), np.linalg.norm(rate, axis=1)
     share = np.array(probability)
-    return replace(GOOD, probability=share, rate=rate, length=lengths, speed=speed)
+    return replace(GOOD, probability=share, rate=rate, longest_sigma=lengths, speed=speed)
 
 
 @pytest.mark.parametrize(
@@ -50,18 +50,18 @@ def aliases(*probability: float, apart: float = 0.1) -> PosteriorFindings:
         (aliases(0.995, 0.005), "unique", "a single solution"),
         (aliases(0.7, 0.3), "aliases", "2 aliases, 5.73 deg/s apart"),
         (aliases(0.985, 0.008, 0.007), "aliases", "98.5% of the probability, 2 others"),
-        (replace(GOOD, length=np.array([0.2])), "line", "a line of solutions over 23 deg/s"),
+        (replace(GOOD, longest_sigma=np.array([0.2])), "line", "a line of solutions over 23 deg/s"),
         (aliases(*[0.04] * 25, apart=1e-3), "line", "the data do not select one"),
-        (replace(GOOD, p=0.001), "not explained", "residuals as large as these"),
+        (replace(GOOD, p_value=0.001), "not explained", "residuals as large as these"),
         (replace(GOOD, noise_sigmas=4.0), "not explained", "far more than assumed (+4.0 sigma)"),
         (replace(GOOD, noise_sigmas=-4.0), "not explained", "far less than assumed"),
         (replace(NONE_FITS, doubts=["doubt"]), "not sure", "doubt; none of the solutions searched"),
         (replace(GOOD, doubts=["a doubt"]), "not sure", "a doubt; result so far: unique"),
-        (replace(GOOD, tail=0.6), "not sure", "approximate"),
+        (replace(GOOD, pareto_k=0.6), "not sure", "approximate"),
         (replace(GOOD, effective=600.0), "not sure", "effective sample size only 600"),
         (replace(GOOD, accused=["panel a: bad"]), "unique", "; panel a: bad"),
-        (replace(GOOD, p=0.0, dark="no panel lit"), "not explained", "If this is an eclipse"),
-        (replace(GOOD, tail=0.6, dark="no panel lit"), "not sure", "If this is an eclipse"),
+        (replace(GOOD, p_value=0.0, dark="no panel lit"), "not explained", "If this is an eclipse"),
+        (replace(GOOD, pareto_k=0.6, dark="no panel lit"), "not sure", "If this is an eclipse"),
         (replace(NONE_FITS, dark="no panel lit"), "not sure", "If this is an eclipse"),
     ],
 )
@@ -106,10 +106,12 @@ def test_a_solution_with_too_few_draws_has_the_spread_of_the_proposal():
     """One draw alone would have a sigma of zero; where next to nothing was proposed, that of the prior is left."""
     omega = 0.02 * np.random.default_rng(0).standard_normal((3000, 3))
     none = np.zeros((3000, 0))
-    mix: Any = SimpleNamespace(first=lambda index: First(omega[index], omega[index], none, none))
-    spread = _of_proposed(mix, np.arange(3000), np.array([0.01, 0.0, 0.0]), 0.5)
+    mix: Any = SimpleNamespace(
+        first_states=lambda index: FirstStates(omega[index], omega[index], none, none)
+    )
+    spread = _proposed_covariance(mix, np.arange(3000), np.array([0.01, 0.0, 0.0]), 0.5)
     expected = 0.02**2 * np.eye(3)
     expected[0, 0] += 0.01**2
     np.testing.assert_allclose(spread, expected, atol=3e-5)
-    few = _of_proposed(mix, np.arange(9), np.zeros(3), 0.5)
+    few = _proposed_covariance(mix, np.arange(9), np.zeros(3), 0.5)
     np.testing.assert_allclose(few, 0.25 * np.eye(3))

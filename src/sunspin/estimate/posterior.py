@@ -28,7 +28,7 @@ from sunspin.estimate.lander.model import LanderModel
 from sunspin.estimate.lander.motions import LanderMotions, ModelFit
 from sunspin.estimate.lander.periods import draws_by_periods
 from sunspin.estimate.lander.priors import constant_torques, with_priors
-from sunspin.estimate.lander.sample import Checked, resampled, sample
+from sunspin.estimate.lander.sample import PredictiveCheck, resampled, sample
 from sunspin.estimate.lander.target import LanderTarget
 from sunspin.estimate.lander.tree import COUNTS, group, tree_of
 from sunspin.estimate.lander.verdict import (
@@ -44,12 +44,7 @@ from sunspin.estimate.observe import wheels_untold
 from sunspin.estimate.periods import PeriodSeen
 from sunspin.estimate.search import search
 from sunspin.estimate.settings import POSTERIOR, PosteriorSettings
-from sunspin.estimate.verdict import (
-    COLUMNS_STATED,
-    COLUMNS_UNCHECKED,
-    alike_motions,
-    passes_table,
-)
+from sunspin.estimate.verdict import COLUMNS_STATED, COLUMNS_UNCHECKED, alike_motions, passes_table
 from sunspin.telemetry.assess import Assessment, assess
 from sunspin.vehicle import Vehicle
 
@@ -60,8 +55,8 @@ SURELY_LIT = 5.0
 """Sigmas of noise above which a reading is sunlight."""
 
 FEW_BODIES, MOST_BODIES = 0.2, 0.5
-"""Part of the prior of the inertia that describes bodies which can exist. Below the first there may be no draws because of that,
-and the advised sigma of the inertia has more than the second."""
+"""Parts of the prior that describe bodies which can exist. Below the first the inertia is blamed if nothing can be drawn. The sigma
+that is then advised leaves more than the second."""
 
 ADVISED_SIGMAS = (0.1, 0.03, 0.01, 3e-3, 1e-3)
 """Relative sigmas of the inertia that may be advised, the largest first."""
@@ -70,10 +65,10 @@ NO_TORQUES = "solutions with a constant torque were not searched, as this would 
 
 
 class NominalSearch(NamedTuple):
-    """The result of the search under the nominal model, in the steps of a `carrier`.
+    """The result of the search under the nominal model.
 
-    `window`: the observations; `motions`: the last trial motions, and `fit`: these fitted to all samples with all unknowns;
-    `prior_words`: the priors and their sources in words.
+    `carrier`: the search, with its model and its remarks; `motions`: those that it has left, and `fit`: these fitted to all samples
+    with all unknowns; `prior_words`: name of each prior -> size and source in words.
     """
 
     assessment: Assessment
@@ -109,12 +104,12 @@ def posterior(
     telemetry : Dataset of `read_telemetry`
         One stretch of motion without impacts; `begin_s`, `end_s` (s from the epoch) or `phase` cut it out.
     priors : mapping, optional
-        Upper limits: `max_rate_rad_s`, the ball in which rates are uniform; `steady_torque`, the largest rotation over the samples
-        by a constant torque (deg; 300 unless given, 0: none acts). Relative sigmas, zero for what is known: `inertia` (of each
-        moment), `wheel_speed`, `wheel_inertia`, `friction`, `gain` (of each panel), `scale` and `noise` (of the logarithm). In rad:
-        `tilt`, of each panel to either side, and `tilt_common`, of all panels about each axis. In s: `time_s`, of the time of each
-        sample. Default: what the vehicle file states, else the values in :mod:`sunspin.estimate.settings`; the attributes of the
-        result say which.
+        Upper limits: `max_rate_rad_s`, below which the rate vector is uniform; `steady_torque`, the largest rotation over the
+        samples by a constant torque (deg; 300 unless given, 0: none acts). Relative sigmas, zero for what is known: `inertia` (of
+        each moment), `wheel_speed`, `wheel_inertia`, `friction`, `gain` (of each panel), `scale` and `noise` (of the logarithm). In
+        rad: `tilt`, of each panel to either side, and `tilt_common`, of all panels about each axis. In s: `time_s`, of the time of
+        each sample. Default: what the vehicle file states, else the values in :mod:`sunspin.estimate.settings`; the attributes of
+        the result say which.
     seed : int
         The same seed gives the same result to 1e-9 for any number of workers.
     observations : list of mappings
@@ -129,7 +124,7 @@ def posterior(
     progress : bool, or a function of a line
         Say on the standard error what is being done; a function is called with each line instead.
     periods : list, optional
-        Periods seen from outside: the group `period` says what they decide; the draws stay as they are.
+        Rotation periods observed from outside: the group `period` says what they decide; the draws stay as they are.
     settings : PosteriorSettings
         Numbers that tune the search and the sampling.
 
@@ -148,22 +143,22 @@ def posterior(
         Priors, observations or a window that make no sense; too few samples.
     """
     _require_whole(seed, draws)
-    # a stream of random numbers for each of three models, and again after a second search; for the draws of the result; for checks
+    # streams of random numbers: for each of three models, and again after a second search; for the draws of the result; for checks
     streams = [np.random.default_rng(child) for child in np.random.SeedSequence(seed).spawn(8)]
     of_models, of_result, of_checks = streams[:6], streams[6], streams[7]
-    say = progress if callable(progress) else _written if progress else lambda _: None
+    say = progress if callable(progress) else _write_line if progress else lambda _: None
     say("searching every motion that the readings allow")
     assessment = assess(vehicle, telemetry)
     window = observe_window(assessment, begin_s, end_s, phase, observations)
     nominal = search_nominal(assessment, window, priors, wheel_mode, workers, settings)
     budget = Budget(settings.motions)
-    budget.spend(nominal.carrier.fitted)
+    budget.spend(nominal.carrier.work)
     doubts, mix = draw_all_models(nominal, priors, of_models, budget, say)
     picked = resampled(mix.draws.log_weight, draws, of_result)
-    checked, outliers = mix.checked(picked, of_checks, settings.sampling)
+    check, outliers = mix.check(picked, of_checks, settings.sampling)
     searched_rad_s = min(nominal.carrier.reference.limit, nominal.fit.model.max_rate)
-    prior_sigma = searched_rad_s / np.sqrt(5)  # of a component, uniform in the ball
-    tree = tree_of(mix, picked, nominal.carrier.trace, prior_sigma)
+    prior_sigma = searched_rad_s / np.sqrt(5)  # of each component if the rate is uniform in a ball
+    tree = tree_of(mix, picked, nominal.carrier.stages, prior_sigma)
     tree.attrs.update(_about(nominal, telemetry, priors, wheel_mode), seed=int(seed))
 
     likeliest = mix.fits[int(np.argmax(mix.probability))]
@@ -171,25 +166,24 @@ def posterior(
     speed = np.linalg.norm(mix.draws.motions.omega[picked], axis=1)
     if np.mean(speed > EDGE * searched_rad_s) > AT_EDGE:
         doubts.append("the rates reach the limit of the search; raise max_rate_rad_s")
-    if unsure := ", ".join(wheels_untold(vehicle, telemetry)):
+    if wheels := ", ".join(wheels_untold(vehicle, telemetry)):
         cure = "give speed_rad_s or a speed_column, or remove a wheel that is at rest"
-        doubts.append(f"WHEEL SPEED UNKNOWN ({unsure}): assumed 0; {cure}")
+        doubts.append(f"WHEEL SPEED UNKNOWN ({wheels}): assumed 0; {cure}")
     if budget.cut:
         doubts.append(
             f"the draws stopped at the computing budget of {settings.motions / 1e6:.3g} million motions, with an effective sample "
             f"size of {mix.draws.effective:.0f}"
         )
     complete = likeliest.complete and not budget.cut and NO_TORQUES not in doubts
-    findings = _findings(tree, mix, nominal, checked, outliers)
+    findings = _findings(tree, mix, nominal, check, outliers)
     findings = replace(findings, doubts=findings.doubts + doubts, complete=complete)
-    tree.attrs.update(_judged(tree, mix, findings, nominal, outliers))
+    tree.attrs.update(_verdict_attributes(tree, mix, findings, nominal, outliers))
 
-    seen = bool(observations) or columns_seen(vehicle, telemetry)
-    columns = COLUMNS_STATED if seen else COLUMNS_UNCHECKED
+    confirmed = bool(observations) or columns_seen(vehicle, telemetry)
+    columns = COLUMNS_STATED if confirmed else COLUMNS_UNCHECKED
     row = pass_row(findings, tree, prior_sigma, columns)
-    tree["passes"] = xr.Dataset(
-        passes_table([row], telemetry.attrs.get("epoch_utc")), {"pass_id": [0]}
-    )
+    table = passes_table([row], telemetry.attrs.get("epoch_utc"))
+    tree["passes"] = xr.Dataset(table, {"pass_id": [0]})
     decided = row.answers.decided
     tree.attrs["verdict"] += "; decided" if decided else f"; not decided: {row.answers.why_not}"
     if periods:
@@ -205,7 +199,10 @@ def search_nominal(
     workers: int | None = None,
     settings: PosteriorSettings = POSTERIOR,
 ) -> NominalSearch:
-    """Return every motion that the readings of a window allow under the nominal model, fitted to all samples."""
+    """Return every motion that the readings of a window allow under the nominal model, fitted to all samples.
+
+    The parameters are those of :func:`posterior`.
+    """
     stated, prior_words = with_priors(assessment, window, priors, wheel_mode)
     reference = choose_reference(stated, settings.grid, bool((priors or {}).get("max_rate_rad_s")))
     carrier = Shooting(reference.about(stated), reference, settings, workers)
@@ -215,13 +212,13 @@ def search_nominal(
 
 
 def search_under(carrier: Shooting) -> LanderMotions:
-    """Return every motion that the readings allow under the model of a carrier, by a search that begins on the grid of rates."""
+    """Return every motion that the readings allow under the model of a carrier, by a search that begins on a grid of rates."""
     settings = carrier.settings
     carrier.announce_starts()
     starts = grid_starts(carrier.model, carrier.reference, settings.grid, carrier.workers)
 
     def watch(window: slice, kept: LanderMotions) -> None:
-        """Record the motions that a window leaves, and pass them on to the caller's own function."""
+        """Note how many motions a window leaves, and pass them on to the function that the settings have."""
         carrier.note_window(window, kept)
         if settings.search.watch is not None:
             settings.search.watch(window, kept)
@@ -237,18 +234,18 @@ def draw_all_models(
     budget: Budget,
     say: Callable[[str], None],
 ) -> tuple[list[str], Mixture]:
-    """Return doubts in words, and draws of the nominal model and of those with a constant torque, each with its evidence.
+    """Return doubts in words, and the draws of the nominal model and of those with a constant torque.
 
-    `streams` (6): random numbers for each of three models, and for each once more if a search under torques follows.
+    `streams` (6): random numbers for each of three models, and for each once more if a search under torques follows. `say` gets
+    lines for the user.
     """
     # Fits under other models begin at the motions of the nominal one. Readings that fit the nominal model do not exclude a torque
     # that turns the body by a few degrees over the samples, since inertia and friction compensate it. So these models are always
     # in the draws.
     carrier, settings = nominal.carrier, nominal.carrier.settings
-    torques = [carrier.of(torque) for torque in constant_torques(carrier.model, priors)]
-    say(
-        f"fitting {len(nominal.motions)} motions under {1 + len(torques)} models, and drawing from them"
-    )
+    torques = [carrier.under(torque) for torque in constant_torques(carrier.model, priors)]
+    count = len(nominal.motions)
+    say(f"fitting {count} motions under {1 + len(torques)} models, and drawing from them")
     with ThreadPoolExecutor(carrier.workers) as pool:
         fits = [nominal.fit, *pool.map(lambda torque: fit_under(torque, nominal), torques)]
     fits, doubts = draw_models(fits, nominal, streams[:3], budget)
@@ -259,7 +256,7 @@ def draw_all_models(
 
     # If no motion of the nominal model fits, a torque may be the cause: search under each torque from the first samples on. That is
     # not done if the first search had to leave motions out, as one of these may fit without a torque, or took too long.
-    if carrier.fitted > settings.long_search or budget.exhausted():
+    if carrier.work > settings.long_search or budget.exhausted():
         return [*doubts, NO_TORQUES], mix
     say("no motion explains the readings: searching under constant torques")
     searched = [fit_under(torque, nominal, search_under(torque)) for torque in torques]
@@ -270,9 +267,10 @@ def draw_all_models(
 def fit_under(
     carrier: Shooting, nominal: NominalSearch, searched: LanderMotions | None = None
 ) -> ModelFit:
-    """Return the motions of the nominal search and those `searched` under the model of a carrier, all fitted under that model.
+    """Return the motions of the nominal search, and those `searched` under the model of a carrier, all fitted under that model.
 
-    Motions far worse than the best are fitted too: under another model they may fit. Its further unknowns begin at their centres.
+    The motions of the nominal search include some far worse than the best, as they may fit under another model. The unknowns that
+    the nominal model lacks begin at their centres.
     """
     names = [unknown.name for unknown in carrier.model.unknowns]
     places = np.array([names.index(unknown.name) for unknown in nominal.carrier.model.unknowns])
@@ -280,7 +278,7 @@ def fit_under(
     if searched is not None:
         return carrier.fit_all_samples(LanderMotions.joined([motions, searched]))
     fit = carrier.fit_all_samples(motions)
-    # motions that the search left out are missing under this model too
+    # motions that the nominal search left out are missing under this model too
     notes = tuple(dict.fromkeys((*nominal.fit.notes, *fit.notes)))
     return replace(fit, complete=fit.complete and nominal.fit.complete, notes=notes)
 
@@ -291,9 +289,10 @@ def draw_models(
     streams: Sequence[np.random.Generator],
     budget: Budget,
 ) -> tuple[list[ModelFit], list[str]]:
-    """Return the fit of the nominal model, the first, and those of other models with enough evidence, with draws; doubts in words.
+    """Return the fits of the nominal model, the first, and of other models with enough evidence, with draws; and doubts in words.
 
-    Each model is drawn from its own stream, unless it has draws. The likeliest model gets all draws, the others fewer.
+    Each model is drawn with its own stream of random numbers, unless it has draws. The likeliest model gets all draws, the others
+    fewer. Raises `InputError` if nothing can be drawn under the nominal model.
     """
     settings, count = nominal.carrier.settings, len(nominal.carrier.t_s)
     evidence = np.array([logsumexp(fit.log_evidence) for fit in fits])  # log, by Laplace's method
@@ -303,33 +302,34 @@ def draw_models(
     most = (budget.most - budget.used) / (len(chosen) + 1) / count
     limit = nominal.carrier.cost_limit(slice(0, count))
 
-    def drawn(h: int) -> tuple[ModelFit, Budget]:
-        """Return a fit with draws and the budget that they used, in motions over the whole stretch."""
-        fit, s, spent = fits[h], settings.sampling, Budget(most)
+    def with_draws(h: int) -> tuple[ModelFit, Budget]:
+        """Return the fit of model h with draws, and the budget that they used, in motions over the whole stretch."""
+        fit, sampling, spent = fits[h], settings.sampling, Budget(most)
         if fit.draws is not None:
             return fit, spent
         part = 1.0 if evidence[h] == evidence.max() else settings.others_draws
-        if fit.motions.cost.min() > settings.beyond * limit:
-            part, s = part * settings.beyond_draws, replace(s, rounds=2)
-        s = replace(s, draws=int(part * s.draws), wanted=part * s.wanted)
-        draws = sample(LanderTarget(fit.model), fit, streams[h], s, spent)
+        if fit.motions.cost.min() > settings.beyond * limit:  # no motion fits
+            part, sampling = part * settings.beyond_draws, replace(sampling, rounds=2)
+        sampling = replace(
+            sampling, draws=int(part * sampling.draws), wanted=part * sampling.wanted
+        )
+        draws = sample(LanderTarget(fit.model), fit, streams[h], sampling, spent)
         return replace(fit, draws=draws), spent
 
     # all models at once, also on fewer cores: with a thread for each core the last of three models would run on one core of two
     with ThreadPoolExecutor(len(chosen) if nominal.carrier.workers > 1 else 1) as pool:
-        results = list(pool.map(drawn, chosen))
+        results = list(pool.map(with_draws, chosen))
     possible, doubts = [], []
     for h, (fit, spent) in zip(chosen, results, strict=True):
         budget.spend(spent.used * count)
         budget.cut |= spent.cut
-        if np.isfinite(fit.drawn.evidence):
+        if np.isfinite(fit.drawn.log_evidence):
             possible.append(fit)
         elif h == 0:
             raise _nothing_drawn(fit.model)
         elif evidence[h] > logsumexp(evidence) + np.log(COUNTS):
-            doubts.append(
-                f"{fit.model.what} may explain the readings too, but no motion that it allows could be drawn"
-            )
+            drawn = "but no motion that it allows could be drawn"
+            doubts.append(f"{fit.model.what} may explain the readings too, {drawn}")
     return possible, doubts
 
 
@@ -338,38 +338,35 @@ def nominal_explains(mix: Mixture, settings: PosteriorSettings) -> bool:
     rng = np.random.default_rng(0)
     alone = Mixture.of(mix.fits[:1], settings.sampling)
     picked = resampled(alone.draws.log_weight, settings.checked_draws, rng)
-    checked, _ = alone.checked(picked, rng, settings.sampling)
+    check, _ = alone.check(picked, rng, settings.sampling)
     return bool(
-        checked.p > settings.explains_p
-        and abs(checked.noise_sigmas) < settings.explains_noise
+        check.p > settings.explains_p
+        and abs(check.noise_sigmas) < settings.explains_noise
         and mix.probability[0] > settings.explains_probability
     )
 
 
 def _nothing_drawn(model: LanderModel) -> InputError:
-    """Return the error for a nominal model of which no draw has a weight.
+    """Return the error for a nominal model all of whose draws have the weight zero.
 
-    It advises a smaller sigma if most inertias within the stated one are those of no real body, else a higher largest rate.
+    It advises a smaller sigma of the inertia if most of the prior describes bodies that cannot exist, else a higher largest rate.
     """
-    real_bodies = np.exp(model.log_possible)  # their part of the prior
-    if real_bodies < FEW_BODIES:
+    possible = np.exp(model.log_possible)  # part of the prior
+    if possible < FEW_BODIES:
 
         def with_inertia_sigma(sigma: float) -> LanderModel:
-            """Return the model with moments of this relative sigma."""
+            """Return the model with this relative sigma of all moments of inertia."""
             unknowns = (
                 replace(x, sigma=sigma * abs(x.centre)) if x.kind == "inertia" else x
                 for x in model.of_motion
             )
             return replace(model, of_motion=tuple(unknowns))
 
-        advised = (
-            sigma
-            for sigma in ADVISED_SIGMAS
-            if with_inertia_sigma(sigma).log_possible > np.log(MOST_BODIES)
-        )
+        enough = np.log(MOST_BODIES)
+        advised = (x for x in ADVISED_SIGMAS if with_inertia_sigma(x).log_possible > enough)
         return InputError(
             "hardly any inertia within its sigma is that of a body, and none that was drawn fits the readings",
-            got=f"{real_bodies:.2g} of the prior",
+            got=f"{possible:.2g} of the prior",
             do=f"give --prior inertia={next(advised, ADVISED_SIGMAS[-1]):g}, or smaller sigmas in the vehicle file",
         )
     return InputError(
@@ -379,13 +376,13 @@ def _nothing_drawn(model: LanderModel) -> InputError:
     )
 
 
-def _written(line: str) -> None:
+def _write_line(line: str) -> None:
     """Write a line on the standard error, above any progress bar."""
     tqdm.write(f"sunspin: {line}", file=sys.stderr)
 
 
 def _require_whole(seed: Any, draws: Any) -> None:
-    """Raise InputError for a seed or a number of draws that is no whole number, or too small."""
+    """Raise InputError for a seed or a number of draws that is no whole number, or is too small."""
     for name, value, least in (("seed", seed, 0), ("draws", draws, 1)):
         if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < least:
             raise InputError(f"{name} must be a whole number of at least {least}", got=value)
@@ -394,14 +391,13 @@ def _require_whole(seed: Any, draws: Any) -> None:
 def _about(
     nominal: NominalSearch, telemetry: xr.Dataset, priors: Mapping[str, Any] | None, wheel_mode: Any
 ) -> dict[str, Any]:
-    """Return the attributes of the result that describe its telemetry, its priors and the search."""
+    """Return the attributes of the result that describe its origin, telemetry, priors and search."""
     window, reference, model = nominal.window, nominal.carrier.reference, nominal.fit.model
     comments = {"comments": telemetry.attrs["comments"]} if "comments" in telemetry.attrs else {}
     mode = wheel_mode if isinstance(wheel_mode, str) else list(wheel_mode)
     t_s = window.start_s + window.obs.t_s[model.panels.present()]
-    return provenance(
-        "posterior", telemetry, **comments, **nominal.assessment.vehicle.result_attributes
-    ) | {
+    of_vehicle = nominal.assessment.vehicle.result_attributes
+    return provenance("posterior", telemetry, **comments, **of_vehicle) | {
         "t_first_s": window.start_s,
         "t_last_s": float(t_s[-1]),
         "noise": float(np.median(model.panels.sigma)),
@@ -418,15 +414,22 @@ def _about(
 
 
 def _findings(
-    tree: xr.DataTree, mix: Mixture, nominal: NominalSearch, checked: Checked, outliers: np.ndarray
+    tree: xr.DataTree,
+    mix: Mixture,
+    nominal: NominalSearch,
+    check: PredictiveCheck,
+    outliers: np.ndarray,
 ) -> PosteriorFindings:
-    """Return the quantities that decide the verdict; `outliers` (n, p): probabilities of readings."""
+    """Return the quantities that decide the verdict; `outliers` (n, p): probability of each reading to be an outlier.
+
+    Only the doubt about starts is among them, and `complete` is true: :func:`posterior` adds other doubts and sets `complete`.
+    """
     solutions, panels = group(tree, "solutions"), nominal.fit.model.panels
     probability = solutions["probability"].values
     doubts = []
     if np.any(solutions["starts"].values[probability >= COUNTS] == 1):
         doubts.append("a solution was reached from one start only, so others may be missing")
-    read = panels.present()
+    read = panels.present()  # (n) samples with a reading
     bright = panels.used & (panels.power > np.maximum(panels.threshold, SURELY_LIT * panels.sigma))
     # samples without a lit panel may be in the shadow of a planet, for which no panel is to blame
     sunlit = bright.any(axis=1)
@@ -436,13 +439,13 @@ def _findings(
     return PosteriorFindings(
         probability=probability,
         rate=rate,
-        length=np.sqrt(np.linalg.eigvalsh(covariance)[:, -1].clip(0)),
+        longest_sigma=np.sqrt(np.linalg.eigvalsh(covariance)[:, -1].clip(0)),
         speed=np.sqrt((rate**2).sum(axis=1) + np.trace(covariance, axis1=1, axis2=2)),
         interval_s=float(np.median(np.diff(t_s[read]))),
-        p=checked.p,
-        noise_sigmas=checked.noise_sigmas,
+        p_value=check.p,
+        noise_sigmas=check.noise_sigmas,
         accused=accused_panels(names, outliers[sunlit], panels.lit[sunlit]),
-        tail=mix.draws.tail,
+        pareto_k=mix.draws.pareto_k,
         effective=mix.draws.effective,
         doubts=doubts,
         dark=dark_stretch(t_s[read], sunlit[read]),
@@ -450,37 +453,35 @@ def _findings(
     )
 
 
-def _judged(
+def _verdict_attributes(
     tree: xr.DataTree,
     mix: Mixture,
     findings: PosteriorFindings,
     nominal: NominalSearch,
     outliers: np.ndarray,
 ) -> dict[str, Any]:
-    """Return the attributes of the verdict."""
+    """Return the attributes of the result that belong to the verdict; `outliers` as in :func:`_findings`."""
     word, text = posterior_words(findings)
     if word != "not explained" and (alike := alike_motions(nominal.assessment.vehicle)):
         text += f"; {alike}"
-    shares = {
-        fit.model.what: float(share) for fit, share in zip(mix.fits, mix.probability, strict=True)
-    }
-    likeliest = max(shares, key=lambda what: shares[what])
+    models = [fit.model.what for fit in mix.fits]
+    probability = dict(zip(models, mix.probability.tolist(), strict=True))
+    likeliest = max(models, key=lambda what: probability[what])
     if likeliest != AS_STATED:
-        text += (
-            f"; an alternative model fits better: {likeliest} (probability {shares[likeliest]:.2f})"
-        )
+        share = f"{probability[likeliest]:.2f}"
+        text += f"; an alternative model fits better: {likeliest} (probability {share})"
     if word == "not explained":
         fastest = np.degrees(tree.attrs["searched_rate_rad_s"])
         text += f"; rates up to {fastest:.3g} deg/s were searched"
     return {
         "verdict": text,
         "verdict_word": word,
-        "p_value": findings.p,
+        "p_value": findings.p_value,
         "noise_sigmas": findings.noise_sigmas,
-        "pareto_k": findings.tail,
+        "pareto_k": findings.pareto_k,
         "effective_draws": findings.effective,
-        "log_evidence": mix.draws.evidence,
+        "log_evidence": mix.draws.log_evidence,
         "remarks": "; ".join(nominal.window.remarks),
         "spoilt_readings": float(outliers.sum()),
-        "hypotheses": json.dumps({what: round(share, 4) for what, share in shares.items()}),
+        "hypotheses": json.dumps({what: round(share, 4) for what, share in probability.items()}),
     }

@@ -2,12 +2,13 @@
 
 The cost of a motion is minus the log of its posterior density: that of each reading (:meth:`PanelPowers.law`) and the prior of the
 unknowns. Damped least squares lowers it for K motions at once. Derivatives of the motion are computed once, by differences of
-runs. After each step they are corrected by the change that the step has made (Broyden 1965, Math. Comp. 19, 577), so that a step
-takes one run. The noise is no unknown of a step: after the steps it gets its best value for the residuals.
+runs (integrations of the equations of motion). After each step they are corrected by the change that the step has made (Broyden
+1965, Math. Comp. 19, 577), so that a step takes one run. The noise is no unknown of a step: afterwards it gets its best value.
 
-A motion has D coordinates (:mod:`sunspin.estimate.lander.motions`), of which F are free in a fit. c of these change the motion, the
-others only the readings. The `track` (K, n, w) of K motions is what sensors depend on at n samples: directions to the Sun (w = 3),
-and rates if they are needed (w = 6). `value` (K, R) are predicted less read numbers.
+Shapes: a motion has D coordinates (:mod:`sunspin.estimate.lander.motions`), of which F are free in a fit. The first c of these
+change the motion, the others (gains, brightness, misalignments) only the readings. R residuals are predicted less read numbers in
+sigmas: of p panels at each of n samples, then of other observations. The `track` (K, n, w) is what sensors depend on: the direction
+to the Sun at each sample (w = 3), and the rate too if it is needed (w = 6); `track_slopes` (K, c, n, w) are its derivatives.
 """
 
 from __future__ import annotations
@@ -34,8 +35,8 @@ RATE_STEP = 3e-4
 """Step of the differences in rates, as a rotation (rad) over the window. Second-order terms are a thousandth of the derivative."""
 
 UNKNOWN_STEP, UNKNOWN_STEP_S, LARGEST_UNKNOWN_STEP = 1e-4, 2700.0, 3e-3
-"""Step of the differences in unknowns, in sigmas, for a window of `UNKNOWN_STEP_S`; it is in inverse proportion to the length of
-the window, up to `LARGEST_UNKNOWN_STEP`."""
+"""Step of the differences in unknowns, in sigmas, for windows of `UNKNOWN_STEP_S` or more. For shorter ones it is larger, in
+inverse proportion to the length, up to `LARGEST_UNKNOWN_STEP`."""
 
 SEARCH_ERROR, FINAL_ERROR = 1e-3, 1e-5
 """Largest error of directions (rad) in runs of a search and of draws, and of the fit to all samples; real errors are fifty times
@@ -51,7 +52,7 @@ LARGEST_TURN = 0.5
 """rad by which one step may rotate the Sun within the window; the limit of an unknown is one sigma."""
 
 NUMBERS_AT_ONCE, ROWS_AT_ONCE = 2_500_000, 1024
-"""Derivatives, and motions, that one thread holds in memory at once."""
+"""Numbers of derivatives, and motions, that one thread holds in memory at once, at most."""
 
 
 def states_of(track: np.ndarray) -> SunStates:
@@ -59,45 +60,45 @@ def states_of(track: np.ndarray) -> SunStates:
     return SunStates.of(track[..., TRACK_SUN], track[..., TRACK_RATE])
 
 
-class Point(NamedTuple):
-    """Motions of a fit one `step` (K, c) after motions whose derivatives are known; the tangents are those of the new directions.
+class FitState(NamedTuple):
+    """K motions of a fit after a `step` (K, c), and what is known from before it.
 
-    `before` (K, n, w): `track` before the step, and `track_slopes` (K, c, n, w): its derivatives. A step of zero does not correct
-    these.
+    `track_before` (K, n, w): track before the step; `track_slopes` (K, c, n, w): its derivatives there. The change of the track by
+    the step will correct these; a step of zero corrects nothing. Step and derivatives are along the tangents at the new directions.
     """
 
     omega: np.ndarray
     sun: np.ndarray
     u: np.ndarray
     track_slopes: np.ndarray
-    before: np.ndarray
+    track_before: np.ndarray
     step: np.ndarray
 
     @property
     def motions(self) -> LanderMotions:
-        """Return the motions."""
+        """Return the motions without derivatives."""
         return LanderMotions(self.omega, self.sun, self.u)
 
 
-class Linear(NamedTuple):
-    """Residuals `value` (K, R) in stated sigmas and their derivatives `jacobian` (K, R, F) by the free coordinates.
+class LinearReadings(NamedTuple):
+    """Readings of K motions to first order, from `track` and `track_slopes`.
 
-    `fine` (K): the motion could be computed; `track` (K, n, w), and `track_slopes` (K, c, n, w): its derivatives.
+    `residuals` (K, R) in stated sigmas and their derivatives `jacobian` (K, R, F) are zero for motions not `computed` (K).
     """
 
-    value: np.ndarray
+    residuals: np.ndarray
     jacobian: np.ndarray
-    fine: np.ndarray
+    computed: np.ndarray
     track_slopes: np.ndarray
     track: np.ndarray
 
 
 @dataclass(frozen=True)
 class FitProblem:
-    """A least-squares problem: motions are fitted to the samples of a model, with some coordinates free.
+    """A least-squares problem: motions are fitted to the samples of a model, with rate, direction and some unknowns free.
 
-    `free_unknowns` (m): which unknowns are free; the noise never is. `error_rad`: of directions in runs. `sizes`: the sigma to use
-    for unknowns with several (:meth:`LanderModel.prior_cost`).
+    `free_unknowns` (m): which unknowns are free; the noise never is. `error_rad`: largest error of directions in runs. `sizes`: the
+    prior sigma to use for unknowns with several (:meth:`LanderModel.prior_cost`).
     """
 
     model: LanderModel
@@ -106,49 +107,47 @@ class FitProblem:
     sizes: Sizes = field(default_factory=dict)
 
     @cached_property
-    def fitted(self) -> np.ndarray:
-        """Return the indices of the unknowns that steps change: the free ones but for the noise."""
+    def fitted_unknowns(self) -> np.ndarray:
+        """Return the indices of the unknowns that steps change, in rising order: the free ones but for the noise."""
         noise = self.model.indices("noise")
         return np.setdiff1d(np.flatnonzero(self.free_unknowns), noise)
 
     @cached_property
-    def moving(self) -> np.ndarray:
-        """Return the indices of fitted unknowns on which the motion depends, so that a derivative needs a run; they come first."""
-        return self.fitted[self.fitted < len(self.model.of_motion)]
+    def motion_unknowns(self) -> np.ndarray:
+        """Return the first of the fitted unknowns: the indices of those on which the motion depends."""
+        return self.fitted_unknowns[self.fitted_unknowns < len(self.model.of_motion)]
 
     @cached_property
-    def coordinates(self) -> np.ndarray:
-        """Return the indices (F) of the free coordinates among all (D): the state, and the fitted unknowns."""
-        return np.concatenate([np.arange(STATE_SIZE), STATE_SIZE + self.fitted])
+    def free_coordinates(self) -> np.ndarray:
+        """Return the indices (F) of the free coordinates among all D: rate, direction and fitted unknowns."""
+        return np.concatenate([np.arange(STATE_SIZE), STATE_SIZE + self.fitted_unknowns])
 
     @property
-    def of_motion(self) -> np.ndarray:
-        """Return the indices (c) of the free coordinates on which the motion depends."""
-        return np.concatenate([np.arange(STATE_SIZE), STATE_SIZE + self.moving])
+    def motion_coordinates(self) -> np.ndarray:
+        """Return the indices (c) among all D of the free coordinates on which the motion depends."""
+        return np.concatenate([np.arange(STATE_SIZE), STATE_SIZE + self.motion_unknowns])
 
     @property
     def rows_at_once(self) -> int:
         """Return how many motions one thread fits at once."""
-        size = self.model.panels.power.size * (len(self.coordinates) + 1)
+        size = self.model.panels.power.size * (len(self.free_coordinates) + 1)
         return int(np.clip(NUMBERS_AT_ONCE // size, 8, ROWS_AT_ONCE))
 
-    # ---- derivatives -------------------------------------------------------------------------------------------------------
-
     def track(self, motions: LanderMotions, error_rad: float) -> np.ndarray:
-        """Return `track` (K, n, w) of motions, not a number for those that could not be computed.
+        """Return the track (K, n, w) of motions, not a number for those that could not be computed.
 
-        Rates are included if times of samples have errors, or if there are other readings than those of panels.
+        Rates are included if times of samples have errors, or if there are other observations than those of panels.
         """
         states = self.model.carried(motions, error_rad)
         if not (self.model.given or self.model.panels.time_s):
             return states.sun_B
         return np.concatenate([states.sun_B, states.omega], axis=2)
 
-    def derivatives(self, motions: LanderMotions) -> tuple[np.ndarray, np.ndarray]:
-        """Return `track` (K, n, w) and its derivatives (K, c, n, w), by differences of runs.
+    def track_with_slopes(self, motions: LanderMotions) -> tuple[np.ndarray, np.ndarray]:
+        """Return the track (K, n, w) of motions and its derivatives (K, c, n, w), by differences of runs.
 
-        They include the jump when a wheel stops. Derivatives by the direction need one run: r(0) -> r(t) is a rotation that does
-        not depend on r(0), so that one tangent is propagated like the Sun, and the other one is across both.
+        They include the jump when a wheel stops. The two by the direction need one run, as all directions that are fixed in space
+        rotate alike in body axes: the first tangent is propagated like the Sun, and the second is the cross product of both.
         """
         count = len(motions)
         rate_step = RATE_STEP / self.model.reach_s
@@ -158,162 +157,165 @@ class FitProblem:
         runs = [motions]
         runs += [replace(motions, omega=motions.omega + rate_step * axis) for axis in np.eye(3)]
         runs.append(replace(motions, sun=tangent))
-        steps = self._unknown_steps()
-        for i, step in zip(self.moving, steps, strict=True):
+        usual_step = UNKNOWN_STEP * max(UNKNOWN_STEP_S / self.model.reach_s, 1.0)
+        steps = np.full(len(self.motion_unknowns), min(usual_step, LARGEST_UNKNOWN_STEP))
+        for k, i in enumerate(self.motion_unknowns):
+            if self.model.unknowns[i].kind == "steady_torque":
+                # angle (rad) by which a torque of one sigma (rad/s2) turns the body within the window
+                angle = self.model.unknowns[i].sigma * self.model.reach_s**2 / 2
+                steps[k] = RATE_STEP / max(angle, RATE_STEP)
             u = motions.u.copy()
-            u[:, i] += step
+            u[:, i] += steps[k]
             runs.append(replace(motions, u=u))
         # differences need more exact runs than predictions
         track = self.track(LanderMotions.joined(runs), self.error_rad / 10)
         track = track.reshape(len(runs), count, *track.shape[1:])
         base = track[0]
-        track_slopes = np.zeros((STATE_SIZE + len(self.moving), *base.shape))
+        track_slopes = np.zeros((len(self.motion_coordinates), *base.shape))
         track_slopes[RATE] = (track[1:4] - base) / rate_step
-        sun, carried = base[..., TRACK_SUN], track[4, ..., TRACK_SUN]
-        track_slopes[SUN, ..., TRACK_SUN] = np.stack([carried, cross(sun, carried)])
+        sun, tangent = base[..., TRACK_SUN], track[4, ..., TRACK_SUN]
+        track_slopes[SUN, ..., TRACK_SUN] = np.stack([tangent, cross(sun, tangent)])
         track_slopes[UNKNOWNS] = (track[5:] - base) / steps[:, None, None, None]
         return base, np.nan_to_num(np.moveaxis(track_slopes, 0, 1))
 
-    def _unknown_steps(self) -> np.ndarray:
-        """Return the steps of the differences in the unknowns of the motion, in sigmas."""
-        usual = min(
-            UNKNOWN_STEP * max(UNKNOWN_STEP_S / self.model.reach_s, 1.0), LARGEST_UNKNOWN_STEP
-        )
-        steps = np.full(len(self.moving), usual)
-        for k, i in enumerate(self.moving):
-            if self.model.unknowns[i].kind == "steady_torque":
-                # turn of the body within the window by one sigma
-                turn = max(self.model.unknowns[i].sigma * self.model.reach_s**2 / 2, RATE_STEP)
-                steps[k] = RATE_STEP / turn
-        return steps
-
-    def differences(
+    def linear_readings(
         self, motions: LanderMotions, track: np.ndarray, track_slopes: np.ndarray
-    ) -> Linear:
-        """Return residuals of readings and their derivatives, by the chain rule from `track` (K, n, w) and `track_slopes`.
+    ) -> LinearReadings:
+        """Return the residuals of motions and their derivatives, by the chain rule from the track and its derivatives.
 
         If `track_slopes` has c = 0 the only derivatives are those by unknowns on which the motion does not depend.
         """
-        model, count = self.model, len(motions)
-        fine = np.all(np.isfinite(track), axis=(1, 2))
-        track = np.where(fine[:, None, None], track, 0.0)
+        model, count, c = self.model, len(motions), track_slopes.shape[1]
+        computed = np.all(np.isfinite(track), axis=(1, 2))
+        track = np.where(computed[:, None, None], track, 0.0)
         states = states_of(track)
         # a change d of the Sun is the rotation d x sun of the body; no sensor shows the rotation about the Sun
-        turn = np.moveaxis(cross(track_slopes[..., TRACK_SUN], states.sun[:, None]), 1, -1)
-        of_rate = np.moveaxis(track_slopes[..., TRACK_RATE], 1, -1)
-        # fitted unknowns of the panels; the first `moving` columns of the Jacobian are coordinates that change the motion
-        own = self.fitted[len(self.moving) :] - len(model.of_motion)
-        moving = track_slopes.shape[1]
-        values, columns = [], []
+        rotation = np.moveaxis(cross(track_slopes[..., TRACK_SUN], states.sun[:, None]), 1, -1)
+        rate = np.moveaxis(track_slopes[..., TRACK_RATE], 1, -1)  # both (K, n, 3, c)
+        # the first c columns of the Jacobian are coordinates that change the motion, the others fitted unknowns of the panels
+        panel_unknowns = self.fitted_unknowns[len(self.motion_unknowns) :] - len(model.of_motion)
+        values, jacobians = [], []
         for term in (model.panels, *model.given):
             for residual in term.residuals(states, motions.u[:, model.of_panels]):
-                jacobian = np.zeros((*residual.value.shape, moving + len(own)))
-                if moving and residual.by_turn is not None:
-                    jacobian[..., :moving] += residual.by_turn @ turn
-                if moving and residual.by_rate is not None:
-                    jacobian[..., :moving] += residual.by_rate @ of_rate
+                jacobian = np.zeros((*residual.value.shape, c + len(panel_unknowns)))
+                if c and residual.by_turn is not None:
+                    jacobian[..., :c] += residual.by_turn @ rotation
+                if c and residual.by_rate is not None:
+                    jacobian[..., :c] += residual.by_rate @ rate
                 if residual.by_u is not None:
-                    jacobian[..., moving:] = residual.by_u[..., own]
+                    jacobian[..., c:] = residual.by_u[..., panel_unknowns]
                 values.append(residual.value.reshape(count, -1))
-                columns.append(jacobian.reshape(*values[-1].shape, jacobian.shape[-1]))
-        value, jacobian = np.concatenate(values, axis=1), np.concatenate(columns, axis=1)
-        fine = fine & np.all(np.isfinite(value), axis=1)
-        value = np.where(fine[:, None], value, 0.0)
-        jacobian = np.where(np.isfinite(jacobian) & fine[:, None, None], jacobian, 0.0)
-        return Linear(value, jacobian, fine, track_slopes, track)
+                jacobians.append(jacobian.reshape(*values[-1].shape, jacobian.shape[-1]))
+        residuals, jacobian = np.concatenate(values, axis=1), np.concatenate(jacobians, axis=1)
+        computed = computed & np.all(np.isfinite(residuals), axis=1)
+        residuals = np.where(computed[:, None], residuals, 0.0)
+        jacobian = np.where(np.isfinite(jacobian) & computed[:, None, None], jacobian, 0.0)
+        return LinearReadings(residuals, jacobian, computed, track_slopes, track)
 
-    def of_panels(self, value: np.ndarray) -> np.ndarray:
-        """Return the residuals (K, n, p) of the panels among all (K, R)."""
+    def panel_residuals(self, residuals: np.ndarray) -> np.ndarray:
+        """Return the residuals (K, n, p) of the panels, which come first among all (K, R)."""
         shape = self.model.panels.power.shape
-        return value[:, : shape[0] * shape[1]].reshape(-1, *shape)
+        return residuals[:, : shape[0] * shape[1]].reshape(-1, *shape)
 
     def weigh(
-        self, value: np.ndarray, u: np.ndarray, noise_factor: float
+        self, residuals: np.ndarray, u: np.ndarray, noise_factor: float
     ) -> tuple[np.ndarray, np.ndarray]:
         """Return cost (K) and weights (K, R) of residuals under `noise_factor` times the noise; only panels have outliers."""
         law = self.model.panels.law(u[:, self.model.of_panels], noise_factor)
-        by_sample, weight = law(self.of_panels(value))
-        others = value[:, weight[0].size :]
+        by_sample, weight = law(self.panel_residuals(residuals))
+        others = residuals[:, weight[0].size :]
         cost = by_sample.sum(axis=1) + 0.5 * np.sum(others**2, axis=1)
         return cost, np.concatenate([weight.reshape(len(u), -1), np.ones_like(others)], axis=1)
 
-    def read_curvature(self, u: np.ndarray, linear: Linear, noise_factor: float) -> np.ndarray:
-        """Return the part (K, F, F) of the curvature of the cost that the readings give."""
-        weight = self.weigh(linear.value, u, noise_factor)[1]
-        return normal_equations(linear.value, linear.jacobian, weight)[0]
+    def reading_curvature(
+        self, u: np.ndarray, linear: LinearReadings, noise_factor: float
+    ) -> np.ndarray:
+        """Return the curvature (K, F, F) of the cost of the readings, without the priors."""
+        weight = self.weigh(linear.residuals, u, noise_factor)[1]
+        return normal_equations(linear.residuals, linear.jacobian, weight)[0]
 
     def linearised(self, motions: LanderMotions, noise_factor: float) -> DenseSystem:
         """Return the normal equations at motions, with derivatives by differences of runs."""
-        linear = self.differences(motions, *self.derivatives(motions))
-        return self.system(motions.u, linear, noise_factor)
+        linear = self.linear_readings(motions, *self.track_with_slopes(motions))
+        return self.equations(motions.u, linear, noise_factor)
 
-    def linearised_after(self, point: Point, noise_factor: float) -> DenseSystem:
-        """Return the normal equations after a step; the change that it has made corrects the derivatives (:func:`corrected`)."""
-        track = self.track(point.motions, self.error_rad)
-        fine = np.all(np.isfinite(track), axis=(1, 2))
-        change = np.where(fine[:, None, None], track - point.before, 0.0)
-        step = np.where(fine[:, None], point.step, 0.0)
-        track_slopes = corrected(point.track_slopes, step, change)
-        linear = self.differences(point.motions, track, track_slopes)
-        return self.system(point.u, linear, noise_factor)
+    def linearised_after(self, state: FitState, noise_factor: float) -> DenseSystem:
+        """Return the normal equations after a step; the change of the track by it corrects the derivatives (:func:`corrected`)."""
+        track = self.track(state.motions, self.error_rad)
+        computed = np.all(np.isfinite(track), axis=(1, 2))
+        change = np.where(computed[:, None, None], track - state.track_before, 0.0)
+        step = np.where(computed[:, None], state.step, 0.0)
+        track_slopes = corrected(state.track_slopes, step, change)
+        linear = self.linear_readings(state.motions, track, track_slopes)
+        return self.equations(state.u, linear, noise_factor)
 
-    def system(self, u: np.ndarray, linear: Linear, noise_factor: float) -> DenseSystem:
-        """Return the normal equations of a step in the free coordinates (F), priors of unknowns included; extras are `linear`."""
-        cost, weight = self.weigh(linear.value, u, noise_factor)
+    def equations(self, u: np.ndarray, linear: LinearReadings, noise_factor: float) -> DenseSystem:
+        """Return the normal equations in the free coordinates (F), with the priors of the unknowns u (K, m).
+
+        Their `extras` are `linear`. The cost is infinite for motions that could not be computed.
+        """
+        fitted = self.fitted_unknowns
+        cost, weight = self.weigh(linear.residuals, u, noise_factor)
         prior, precision = self.model.prior_cost(u, self.sizes)
-        normal, gradient = normal_equations(linear.value, linear.jacobian, weight)
-        diagonal = np.arange(STATE_SIZE, len(self.coordinates))
-        normal[:, diagonal, diagonal] += precision[:, self.fitted]
-        gradient[:, UNKNOWNS] += precision[:, self.fitted] * u[:, self.fitted]
-        scale = np.einsum("kff->kf", normal).copy()
+        normal, gradient = normal_equations(linear.residuals, linear.jacobian, weight)
+        diagonal = np.arange(len(self.free_coordinates))
+        normal[:, diagonal[UNKNOWNS], diagonal[UNKNOWNS]] += precision[:, fitted]
+        gradient[:, UNKNOWNS] += precision[:, fitted] * u[:, fitted]
+        scale = np.einsum("kff->kf", normal).copy()  # the damping is without the floor
         floor = FLOOR * scale.max(axis=1) + 1e-12
-        normal[:, np.arange(scale.shape[1]), np.arange(scale.shape[1])] += floor[:, None]
-        cost = np.where(linear.fine, cost + prior, np.inf)
+        normal[:, diagonal, diagonal] += floor[:, None]
+        cost = np.where(linear.computed, cost + prior, np.inf)
         return DenseSystem(cost, normal, gradient, scale, linear)
 
 
 def normal_equations(
-    value: np.ndarray, jacobian: np.ndarray, weight: np.ndarray
+    residuals: np.ndarray, jacobian: np.ndarray, weight: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return J'WJ (K, F, F) and J'Wr (K, F) of residuals (K, R) with weights (K, R)."""
+    """Return the matrices J'WJ (K, F, F) and the slopes J'Wr (K, F) of residuals r (K, R) with weights W (K, R)."""
     weighted = np.swapaxes(jacobian * weight[..., None], 1, 2)
-    return weighted @ jacobian, (weighted @ value[..., None])[..., 0]
+    return weighted @ jacobian, (weighted @ residuals[..., None])[..., 0]
 
 
 def corrected(track_slopes: np.ndarray, step: np.ndarray, change: np.ndarray) -> np.ndarray:
-    """Return derivatives (K, c, n, w) of `track`, corrected so that they explain its change (K, n, w) by a step (K, c).
+    """Return derivatives (K, c, n, w) of the track, corrected so that they explain its change (K, n, w) by a step (K, c).
 
     Broyden's update is the smallest such correction: with the derivatives J (c rows), the step s and the change y it adds
     W s (y - s J) / (s W s) to J. Here the metric W is diagonal, with the squared lengths of the rows of J.
     """
     flat = track_slopes.reshape(*track_slopes.shape[:2], -1)
-    weighted = step * np.sum(flat**2, axis=2)
-    length = np.sum(weighted * step, axis=1, keepdims=True)
+    weighted = step * np.sum(flat**2, axis=2)  # W s
+    length = np.sum(weighted * step, axis=1, keepdims=True)  # s W s
     share = np.divide(weighted, length, out=np.zeros_like(weighted), where=length > 0)
-    unexplained = change.reshape(len(flat), 1, -1) - step[:, None] @ flat
+    unexplained = change.reshape(len(flat), 1, -1) - step[:, None] @ flat  # y - s J
     return track_slopes + (share[:, :, None] * unexplained).reshape(track_slopes.shape)
 
 
 def in_tangents_at(
-    there: np.ndarray, sun: np.ndarray, track_slopes: np.ndarray, step: np.ndarray
+    new_sun: np.ndarray, sun: np.ndarray, track_slopes: np.ndarray, step: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return derivatives and a step by tangents at directions `sun` (K, 3), as those by tangents at directions `there` (K, 3)."""
-    across = np.stack(tangent_basis(there), axis=1)
-    turn = across @ np.swapaxes(np.stack(tangent_basis(sun), axis=1), 1, 2)  # (K, 2, 2)
+    """Return derivatives (K, c, n, w) and a step (K, c) by the tangents at `new_sun` (K, 3), from those by tangents at `sun`."""
+    tangents = np.stack(tangent_basis(new_sun), axis=1)
+    change = tangents @ np.swapaxes(np.stack(tangent_basis(sun), axis=1), 1, 2)  # (K, 2, 2)
     track_slopes, step = track_slopes.copy(), step.copy()
-    track_slopes[:, SUN] = np.einsum("kab,kbnw->kanw", turn, track_slopes[:, SUN])
-    step[:, SUN] = np.einsum("kab,kb->ka", turn, step[:, SUN])
+    track_slopes[:, SUN] = np.einsum("kab,kbnw->kanw", change, track_slopes[:, SUN])
+    step[:, SUN] = np.einsum("kab,kb->ka", change, step[:, SUN])
     return track_slopes, step
 
 
 def rotation_by(step: np.ndarray, reach_s: float) -> np.ndarray:
-    """Return the rotation (K), rad, within a window up to `reach_s` by the rate or the direction of steps (K, 5 or more)."""
+    """Return the angle (K), rad, by which steps (K, 5 or more) rotate the Sun within a window up to `reach_s` from the reference.
+
+    It is the larger one of the angles by the rate and by the direction.
+    """
     rate, sun = (np.linalg.norm(step[:, part], axis=1) for part in (RATE, SUN))
     return np.maximum(rate * reach_s, sun)
 
 
 class Fitting:
-    """A batch of motions that are fitted together; the result of each does not depend on the others."""
+    """A batch of motions that are fitted together; the result of each does not depend on the others.
+
+    `motions`: where the fit is now; `system`: the normal equations there under `noise_factor` times the noise.
+    """
 
     def __init__(self, problem: FitProblem, motions: LanderMotions) -> None:
         """Begin at motions whose bodies can exist, with the stated noise.
@@ -327,95 +329,96 @@ class Fitting:
         self.refresh()
 
     def refresh(self) -> None:
-        """Compute the derivatives where the motions are now."""
+        """Compute the derivatives by differences where the motions are now."""
         self.system = self.problem.linearised(self.motions, self.noise_factor)
 
     def fit_under(self, noise_factor: float, steps: int) -> None:
-        """Take steps under `noise_factor` times the noise."""
+        """Take at most so many steps under `noise_factor` times the noise."""
         self.noise_factor = noise_factor
-        self.system = self.problem.system(self.motions.u, self.system.extras, noise_factor)
+        self.system = self.problem.equations(self.motions.u, self.system.extras, noise_factor)
         self.steps(steps)
 
-    def take(self, rows: np.ndarray) -> None:
-        """Continue with some of the motions."""
-        self.motions, self.system = self.motions.take(rows), take_problems(self.system, rows)
-
     def steps(self, count: int) -> None:
-        """Take steps of damped least squares."""
+        """Take at most `count` steps of damped least squares; derivatives are corrected after each."""
         motions, linear = self.motions, self.system.extras
-        still = np.zeros((len(motions), len(self.problem.of_motion)))
+        no_step = np.zeros((len(motions), len(self.problem.motion_coordinates)))
+        start = FitState(
+            motions.omega, motions.sun, motions.u, linear.track_slopes, linear.track, no_step
+        )
         end = least_squares(
-            lambda point: self.problem.linearised_after(point, self.noise_factor),
+            lambda state: self.problem.linearised_after(state, self.noise_factor),
             self._moved,
             solve_dense,
-            Point(motions.omega, motions.sun, motions.u, linear.track_slopes, linear.track, still),
+            start,
             steps=count,
             system=self.system,
             length_ratio=self._length_ratio,
             limit=self._limited,
-            carry=lambda point, system: point._replace(
-                track_slopes=system.extras.track_slopes, before=system.extras.track
+            carry=lambda state, system: state._replace(
+                track_slopes=system.extras.track_slopes, track_before=system.extras.track
             ),
         )
         self.motions, self.system = end.state.motions, end.system
 
-    def _moved(self, point: Point, step: np.ndarray) -> Point:
-        """Return the motions after steps (K, F), with derivatives in the tangents of the new directions."""
+    def _moved(self, state: FitState, step: np.ndarray) -> FitState:
+        """Return the state after steps (K, F) from it, with step and derivatives along the tangents at the new directions."""
         whole = np.zeros((len(step), self.problem.model.dimension))
-        whole[:, self.problem.coordinates] = step
-        sun = move_on_sphere(point.sun, whole[:, SUN])
-        own = whole[:, self.problem.of_motion]
-        track_slopes, own = in_tangents_at(sun, point.sun, point.track_slopes, own)
-        omega, u = point.omega + whole[:, RATE], point.u + whole[:, UNKNOWNS]
-        return Point(omega, sun, u, track_slopes, point.before, own)
+        whole[:, self.problem.free_coordinates] = step
+        sun = move_on_sphere(state.sun, whole[:, SUN])
+        motion_step = whole[:, self.problem.motion_coordinates]
+        track_slopes, motion_step = in_tangents_at(sun, state.sun, state.track_slopes, motion_step)
+        omega, u = state.omega + whole[:, RATE], state.u + whole[:, UNKNOWNS]
+        return FitState(omega, sun, u, track_slopes, state.track_before, motion_step)
 
-    def _length_ratio(self, point: Point, step: np.ndarray) -> np.ndarray:
-        """Return the lengths (K) of steps (K, F) over the longest one allowed."""
-        problem, fitted = self.problem, self.problem.fitted
-        turn = rotation_by(step, problem.model.reach_s)
-        torque = np.isin(fitted, problem.model.indices("steady_torque"))
-        sigma = np.array([problem.model.unknowns[i].sigma for i in fitted[torque]])
-        pushed = (
-            np.linalg.norm(step[:, UNKNOWNS][:, torque] * sigma, axis=1)
-            * problem.model.reach_s**2
-            / 2
-        )
-        unknowns = np.abs(step[:, UNKNOWNS]).max(axis=1, initial=0.0)
-        return np.maximum(np.maximum(turn, pushed) / LARGEST_TURN, unknowns)
+    def _length_ratio(self, state: FitState, step: np.ndarray) -> np.ndarray:
+        """Return the lengths (K) of steps (K, F) over the longest one allowed, from any state.
 
-    def _limited(self, point: Point) -> Point:
-        """Return motions within the limits of the prior; derivatives are not corrected by a step that was cut off."""
+        Allowed are a rotation of the Sun by `LARGEST_TURN`, by a constant torque too, and one sigma of each unknown.
+        """
+        model, fitted = self.problem.model, self.problem.fitted_unknowns
+        of_unknowns = step[:, UNKNOWNS]
+        torque = np.isin(fitted, model.indices("steady_torque"))
+        sigma = np.array([model.unknowns[i].sigma for i in fitted[torque]])  # rad/s2
+        by_torque = np.linalg.norm(of_unknowns[:, torque] * sigma, axis=1) * model.reach_s**2 / 2
+        angle = np.maximum(rotation_by(step, model.reach_s), by_torque)
+        return np.maximum(angle / LARGEST_TURN, np.abs(of_unknowns).max(axis=1, initial=0.0))
+
+    def _limited(self, state: FitState) -> FitState:
+        """Return the state within the limits of the prior; a step that was cut off is zero, so that it corrects no derivatives."""
         model = self.problem.model
-        omega, u = limit_length(point.omega, model.max_rate), model.limited(point.u, INSIDE)
-        is_within = (omega == point.omega).all(axis=1) & (u == point.u).all(axis=1)
-        return point._replace(omega=omega, u=u, step=np.where(is_within[:, None], point.step, 0.0))
+        omega, u = limit_length(state.omega, model.max_rate), model.limited(state.u, INSIDE)
+        is_within = (omega == state.omega).all(axis=1) & (u == state.u).all(axis=1)
+        return state._replace(omega=omega, u=u, step=np.where(is_within[:, None], state.step, 0.0))
 
-    def fit_noise(self, few: bool = False, held: bool = False) -> None:
+    def fit_noise(self, *, few: bool = False, held: bool = False) -> None:
         """Set the noise to its best value for the present residuals.
 
         `few`: there are hardly more readings than fitted numbers, so that degrees of freedom are subtracted. `held`: the noise is
         then also not smaller than stated. Otherwise a family of motions that fit the first samples would look like one motion,
         known to a tenth of the family's width.
         """
-        panels, own = self.problem.model.panels, self.problem.model.of_panels
-        fitted_freedom = self._fitted_freedom() if few else np.zeros(len(self.motions))
+        panels, of_panels = self.problem.model.panels, self.problem.model.of_panels
+        freedom = self._fitted_freedom() if few else np.zeros(len(self.motions))
         least = 0.0 if few and held else -LARGEST_LOG_NOISE
         u, linear = self.motions.u.copy(), self.system.extras
-        value = self.problem.of_panels(linear.value)
         if panels.time_s:
             # with the best errors of times residuals are smaller than the noise
-            taken = panels.freedom_of_times(states_of(linear.track), u[:, own])
-            fitted_freedom = fitted_freedom + taken
-        u[:, own] = panels.best_noise(value, u[:, own], fitted_freedom, least)
+            freedom = freedom + panels.freedom_of_times(states_of(linear.track), u[:, of_panels])
+        residuals = self.problem.panel_residuals(linear.residuals)
+        u[:, of_panels] = panels.best_noise(residuals, u[:, of_panels], freedom, least)
         self.motions = replace(self.motions, u=u)
-        self.system = self.problem.system(u, linear, self.noise_factor)
+        self.system = self.problem.equations(u, linear, self.noise_factor)
 
     def _fitted_freedom(self) -> np.ndarray:
-        """Return the degrees of freedom (K) that the fit uses: the trace of the readings' part in the curvature."""
+        """Return the degrees of freedom (K) that the fit uses.
+
+        They are the trace of (C + P)^-1 C, with the curvature C of the readings and P of the priors.
+        """
         problem, u = self.problem, self.motions.u
-        read = problem.read_curvature(u, self.system.extras, self.noise_factor)
+        read = problem.reading_curvature(u, self.system.extras, self.noise_factor)
         prior = np.zeros(read.shape[:2])
-        prior[:, UNKNOWNS] = problem.model.prior_cost(u, problem.sizes)[1][:, problem.fitted]
+        precision = problem.model.prior_cost(u, problem.sizes)[1]
+        prior[:, UNKNOWNS] = precision[:, problem.fitted_unknowns]
         # in units of the root of each diagonal element the matrices are well conditioned
         size = np.sqrt(np.einsum("kff->kf", read) + prior + 1e-12)
         read /= size[:, :, None] * size[:, None, :]
@@ -425,20 +428,20 @@ class Fitting:
     def curvature(self) -> np.ndarray:
         """Return second derivatives (K, D, D) of the cost, by Gauss-Newton; for unknowns that are not free, those of the prior."""
         problem, model, u = self.problem, self.problem.model, self.motions.u
-        linear = self.system.extras
-        read = problem.read_curvature(u, linear, self.noise_factor)
+        linear, free = self.system.extras, problem.free_coordinates
         curvature = np.zeros((len(u), model.dimension, model.dimension))
-        curvature[:, problem.coordinates[:, None], problem.coordinates] = read
+        curvature[:, free[:, None], free] = problem.reading_curvature(u, linear, self.noise_factor)
         unknowns = np.arange(STATE_SIZE, model.dimension)
         curvature[:, unknowns, unknowns] += model.prior_cost(u, problem.sizes)[1]
+        residuals = problem.panel_residuals(linear.residuals)
         for i in model.indices("noise"):
-            value, at = problem.of_panels(linear.value), STATE_SIZE + i
-            curvature[:, at, at] += model.panels.noise_curvature(value, u[:, model.of_panels])
+            at = STATE_SIZE + i
+            curvature[:, at, at] += model.panels.noise_curvature(residuals, u[:, model.of_panels])
         return curvature
 
 
 Levels = Sequence[tuple[float, int]]
-"""Factors on the noise, each with a number of steps."""
+"""(factor on the noise, largest number of steps) of the levels of a fit, one after the other."""
 
 
 def fit_window(
@@ -455,25 +458,28 @@ def fit_window(
     `problem` holds body and wheel; then the noise, which stands for their errors, is not fitted below the stated one.
     """
     fitting = Fitting(problem, motions)
-    (noise_factor, steps), *others = levels
-    fitting.fit_under(noise_factor, steps)
-    none = np.zeros((len(motions), problem.model.dimension, problem.model.dimension))
-    fitted = replace(fitting.motions, cost=fitting.system.cost.copy(), curvature=none)
-    going = np.flatnonzero(fitting.system.cost <= hopeless)
-    if not len(going):
+    fitting.fit_under(*levels[0])
+    curvature = np.zeros((len(motions), problem.model.dimension, problem.model.dimension))
+    fitted = replace(fitting.motions, cost=fitting.system.cost.copy(), curvature=curvature)
+    promising = np.flatnonzero(fitting.system.cost <= hopeless)
+    if not len(promising):
         return fitted
-    fitting.take(going)
-    for noise_factor, steps in others:
+    fitting.motions = fitting.motions.take(promising)
+    fitting.system = take_problems(fitting.system, promising)
+    for noise_factor, steps in levels[1:]:
         fitting.fit_under(noise_factor, steps)
     fitting.fit_noise(few=True, held=held)
     for name in ("omega", "sun", "u"):
-        getattr(fitted, name)[going] = getattr(fitting.motions, name)
-    fitted.cost[going], fitted.curvature[going] = fitting.system.cost, fitting.curvature()
+        getattr(fitted, name)[promising] = getattr(fitting.motions, name)
+    fitted.cost[promising], fitted.curvature[promising] = fitting.system.cost, fitting.curvature()
     return fitted
 
 
 def fit_finally(problem: FitProblem, motions: LanderMotions, levels: Levels) -> LanderMotions:
-    """Return motions fitted to all samples, with costs and curvatures; derivatives are computed again at each level."""
+    """Return motions fitted to all samples, with costs and curvatures.
+
+    Derivatives are computed again at each level, and twice after the levels, each time with a fit of the noise and two more steps.
+    """
     fitting = Fitting(problem, motions)
     for k, (noise_factor, steps) in enumerate(levels):
         if k:
@@ -490,7 +496,7 @@ def fit_finally(problem: FitProblem, motions: LanderMotions, levels: Levels) -> 
 def in_pieces(
     fit: Callable[[LanderMotions], LanderMotions], motions: LanderMotions, rows: int, workers: int
 ) -> LanderMotions:
-    """Return the result of a fit of many motions, in pieces of `rows` motions by `workers` threads; both do not change it."""
+    """Return the result of a fit of many motions, made in pieces of `rows` motions by several threads; it depends on neither."""
     pieces = [motions.take(slice(k, k + rows)) for k in range(0, len(motions), rows)]
     with ThreadPoolExecutor(workers) as pool:
         fitted = LanderMotions.joined(list(pool.map(fit, pieces)))

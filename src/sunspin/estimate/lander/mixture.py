@@ -15,18 +15,18 @@ from scipy.special import logsumexp
 from sunspin.estimate.lander.fit import FINAL_ERROR
 from sunspin.estimate.lander.model import LanderModel
 from sunspin.estimate.lander.motions import RATE, Draws, LanderMotions, ModelFit
-from sunspin.estimate.lander.sample import Checked, predictive_check
+from sunspin.estimate.lander.sample import PredictiveCheck, predictive_check
 from sunspin.estimate.lander.target import LanderTarget
 from sunspin.estimate.settings import SAMPLING, SamplingSettings
 from sunspin.solve.weights import effective_draws, pareto_tail
 
 COMPARED = 10.0
-"""A region is compared with those of other models if it has this many times the probability below which a model is left out. Mean
+"""A solution is compared with those of other models if it has this many times the probability below which a model is left out. Mean
 and covariance of fewer draws say nothing."""
 
 
-class First(NamedTuple):
-    """Motions (n) at the first sample, in body axes then.
+class FirstStates(NamedTuple):
+    """States of n motions at the first sample, in body axes of that time.
 
     `omega` (n, 3) in rad/s, `sun` (n, 3), speeds of the `wheels` (n, n_wheel) in rad/s, and `steady` (n, 2, 3): constant torques in
     body axes and in space, over the mean moment of inertia, in rad/s2.
@@ -38,75 +38,82 @@ class First(NamedTuple):
     steady: np.ndarray
 
 
-def at_first_sample(model: LanderModel, motions: LanderMotions) -> First:
-    """Return motions at the first sample, carried there from the reference."""
+def at_first_sample(model: LanderModel, motions: LanderMotions) -> FirstStates:
+    """Return the states of motions at the first sample, propagated there from the reference."""
     rows, steady = model.rows(motions), model.steady_torques(motions.u)
     if not model.after_s:
-        return First(motions.omega, motions.sun, rows.wheel_speed_rad_s, steady)
+        return FirstStates(motions.omega, motions.sun, rows.wheel_speed_rad_s, steady)
     back = model.run(rows, np.array([-model.after_s]), FINAL_ERROR, attitude=True)
-    # components, in the body axes of then, of the torque that is constant in space
+    # a torque that is constant in space has components in the reference's body axes: turn them into those of the first sample
     steady[:, 1] = np.einsum("nij,nj->ni", back.attitude[:, 0], steady[:, 1])
-    return First(back.omega_B[:, 0], back.sun_B[:, 0], back.wheel_speed_rad_s[:, 0], steady)
+    return FirstStates(back.omega_B[:, 0], back.sun_B[:, 0], back.wheel_speed_rad_s[:, 0], steady)
 
 
-def mixed(drawn: Sequence[Draws], reach_s: float, s: SamplingSettings = SAMPLING) -> Draws:
-    """Return the draws of several models together, weighed by the evidence of each; the first is the nominal one.
+def join_models(
+    drawn: Sequence[Draws], reach_s: float, settings: SamplingSettings = SAMPLING
+) -> Draws:
+    """Return the draws of several models together, weighted by the evidence of each model; the first is the nominal one.
 
-    Other models of negligible probability are left out. Regions of two models become one if the alternative model may have moved
-    the one to the other; `reach_s`: longest time from the reference to a sample, over which a difference of rates acts.
+    Other models of negligible probability are left out. Solutions of two models become one if they differ by no more than the
+    alternative model may change a motion. `reach_s`: longest time from the reference to a sample.
     """
-    evidence = np.array([draws.evidence for draws in drawn])
+    evidence = np.array([draws.log_evidence for draws in drawn])
     probability = np.exp(evidence - logsumexp(evidence))  # of each model
-    models = [m for m in range(len(drawn)) if m == 0 or probability[m] > s.no_weight]
+    models = [m for m in range(len(drawn)) if m == 0 or probability[m] > settings.no_weight]
     # the weights of each model's draws, whose mean is its evidence, are divided by their number, so that their sum is
     log_weight = np.concatenate([drawn[m].log_weight - np.log(len(drawn[m])) for m in models])
     share = np.exp(log_weight - logsumexp(log_weight))
-    region = _regions_of_models(drawn, probability, models, reach_s, s)
-    # regions are numbered by falling probability, and all motions get as many unknowns as the largest model has
-    rank = np.argsort(np.argsort(-np.bincount(region, weights=share), kind="stable"))
+    solution = _solutions_of_models(drawn, probability, models, reach_s, settings)
+    # number the solutions by falling probability, and give all motions as many unknowns as the largest model has
+    rank = np.argsort(np.argsort(-np.bincount(solution, weights=share), kind="stable"))
     motions = [drawn[m].motions for m in models]
-    count = max(some.u.shape[1] for some in motions)
-    wide = [some.with_unknowns(np.arange(some.u.shape[1]), count) for some in motions]
+    count = max(part.u.shape[1] for part in motions)
+    wide = [part.with_unknowns(np.arange(part.u.shape[1]), count) for part in motions]
     return Draws(
         motions=LanderMotions.joined(wide),
         log_weight=log_weight + np.log(len(log_weight)),
-        of_model=np.repeat(models, [len(some) for some in motions]),
-        region=rank[region],
+        model_index=np.repeat(models, [len(part) for part in motions]),
+        solution=rank[solution],
         effective=effective_draws(share),
-        tail=pareto_tail(log_weight),
-        evidence=float(logsumexp(log_weight)),
+        pareto_k=pareto_tail(log_weight),
+        log_evidence=float(logsumexp(log_weight)),
         rounds=np.concatenate([draws.rounds for draws in drawn]),
     )
 
 
-def _regions_of_models(
+def _solutions_of_models(
     drawn: Sequence[Draws],
     probability: np.ndarray,
     models: list[int],
     reach_s: float,
-    s: SamplingSettings,
+    settings: SamplingSettings,
 ) -> np.ndarray:
-    """Return the region of each draw of some models, one model after the other, numbered over all models.
+    """Return for each draw of the `models`, one model after the other, the index of its solution among those of all models.
 
-    `probability`: of each model. From the most probable model on, a region is either one of those of earlier models, or a new one.
-    A region is described by mean (6) and covariance (6, 6) of its rate times `reach_s` (rad) and of its direction to the Sun.
+    `probability`: of each model. Beginning with the most probable model, each solution either is one that an earlier model has too,
+    or is new. Solutions are compared by mean (6) and covariance (6, 6) of the rate times `reach_s` (rad) and of the direction.
     """
-    known: list[tuple[np.ndarray, np.ndarray]] = []
+    known: list[tuple[np.ndarray, np.ndarray]] = []  # mean and covariance of each solution
 
     def squared_distance(mean: np.ndarray, covariance: np.ndarray, number: int) -> float:
-        """Return that of a known region: in sigmas of the wider one, or in the largest change by another model if less."""
+        """Return the squared distance from a known solution, in sigmas of the wider of the two.
+
+        It is at most the limit `one_region` if another model may cause the distance: less than `bent_rad` and `sun_rad`.
+        """
         off, wider = mean - known[number][0], max((covariance, known[number][1]), key=np.trace)
-        turn, sun = np.linalg.norm(off[RATE]) / s.bent_rad, np.linalg.norm(off[3:]) / s.sun_rad
-        by_model = float(max(turn, sun)) ** 2 * s.one_region
+        rotation = np.linalg.norm(off[RATE]) / settings.bent_rad
+        sun = np.linalg.norm(off[3:]) / settings.sun_rad
+        by_model = float(max(rotation, sun)) ** 2 * settings.one_region
         return min(float(off @ np.linalg.solve(wider, off)), by_model)
 
     of_draws: dict[int, np.ndarray] = {}
     for m in sorted(models, key=lambda m: -probability[m]):
         draws, earlier = drawn[m], len(known)
         share = draws.probability
-        number_of = np.zeros(draws.region.max(initial=0) + 1, dtype=np.int64)  # by the model's own
-        for region in range(len(number_of)):
-            inside = draws.region == region
+        # index among all solutions, by the index among the model's own
+        number_of = np.zeros(draws.solution.max(initial=0) + 1, dtype=np.int64)
+        for own in range(len(number_of)):
+            inside = draws.solution == own
             mass = share[inside].sum()
             weight = share[inside] / max(mass, 1e-300)
             omega, sun = draws.motions.omega[inside], draws.motions.sun[inside]
@@ -114,23 +121,23 @@ def _regions_of_models(
             mean = weight @ x
             covariance = np.einsum("n,ni,nj->ij", weight, x - mean, x - mean) + 1e-6 * np.eye(6)
             distances = []
-            if probability[m] * mass > COMPARED * s.no_weight:
+            if probability[m] * mass > COMPARED * settings.no_weight:
                 distances = [squared_distance(mean, covariance, k) for k in range(earlier)]
-            if distances and min(distances) < s.one_region:
-                number_of[region] = int(np.argmin(distances))
+            if distances and min(distances) < settings.one_region:
+                number_of[own] = int(np.argmin(distances))
             else:
-                number_of[region] = len(known)
+                number_of[own] = len(known)
                 known.append((mean, covariance))
-        of_draws[m] = number_of[draws.region]
+        of_draws[m] = number_of[draws.solution]
     return np.concatenate([of_draws[m] for m in models])
 
 
 @dataclass(frozen=True)
 class Mixture:
-    """Draws (n) of all models together, weighed by evidence.
+    """Draws of all models together, weighted by evidence.
 
     `fits` (h): the models with the motions about which they were drawn, the nominal one first; `probability` (h) of each model;
-    `starts`: how many starts of the search led to each region; `workers`: threads that evaluate draws.
+    `starts` (r): how many starts of the search led to each solution; `workers`: threads that evaluate draws.
     """
 
     fits: tuple[ModelFit, ...]
@@ -140,11 +147,11 @@ class Mixture:
     workers: int = 1
 
     @classmethod
-    def of(cls, fits: Sequence[ModelFit], s: SamplingSettings, workers: int = 1) -> Mixture:
-        """Return the draws of models together."""
+    def of(cls, fits: Sequence[ModelFit], settings: SamplingSettings, workers: int = 1) -> Mixture:
+        """Return the draws of several fitted models together; each fit has draws."""
         drawn, reach_s = [fit.drawn for fit in fits], fits[0].model.reach_s
-        draws = mixed(drawn, reach_s, s)
-        evidence = np.array([of_model.evidence for of_model in drawn])
+        draws = join_models(drawn, reach_s, settings)
+        evidence = np.array([of_model.log_evidence for of_model in drawn])
         probability = np.exp(evidence - logsumexp(evidence))
         return cls(tuple(fits), draws, probability, _starts(fits, draws, reach_s), workers)
 
@@ -155,96 +162,100 @@ class Mixture:
 
     @cached_property
     def share(self) -> np.ndarray:
-        """Return the probability (r) of each region."""
-        return np.bincount(self.draws.region, weights=self.draws.probability)
+        """Return the probability (r) of each solution."""
+        return np.bincount(self.draws.solution, weights=self.draws.probability)
 
-    def inside(self, region: int) -> np.ndarray:
-        """Return the indices of the draws of a region."""
-        return np.flatnonzero(self.draws.region == region)
+    def inside(self, solution: int) -> np.ndarray:
+        """Return the indices of the draws of a solution."""
+        return np.flatnonzero(self.draws.solution == solution)
 
-    def effective(self, region: int) -> float:
-        """Return the effective sample size of a region."""
-        own = self.draws.log_weight[self.inside(region)]
+    def effective(self, solution: int) -> float:
+        """Return the effective sample size of a solution."""
+        own = self.draws.log_weight[self.inside(solution)]
         return effective_draws(np.exp(own - logsumexp(own)))
 
     def by_model(
         self, index: np.ndarray
     ) -> Iterator[tuple[LanderModel, np.ndarray, LanderMotions]]:
-        """Yield each model of the draws `index` (n), with the positions of its draws in `index`, and their motions."""
-        for h in np.unique(self.draws.of_model[index]):
+        """Yield each model that the draws `index` (n) have, the positions in `index` of its draws, and their motions."""
+        for h in np.unique(self.draws.model_index[index]):
             model = self.fits[h].model
-            rows = np.flatnonzero(self.draws.of_model[index] == h)
-            motions = self.draws.motions.take(index[rows])
-            yield model, rows, replace(motions, u=motions.u[:, : len(model.unknowns)])
+            positions = np.flatnonzero(self.draws.model_index[index] == h)
+            motions = self.draws.motions.take(index[positions])
+            yield model, positions, replace(motions, u=motions.u[:, : len(model.unknowns)])
 
-    def each_once(
+    def evaluate(
         self,
         index: np.ndarray,
-        evaluate: Callable[[LanderModel, LanderMotions], Sequence[np.ndarray]],
+        function: Callable[[LanderModel, LanderMotions], Sequence[np.ndarray]],
     ) -> list[np.ndarray]:
         """Return the arrays (n, ...) of a function of a model and its motions for the draws `index` (n), which may be repeated.
 
         Each draw is evaluated once, and models at the same time if there are several workers.
         """
-        once, place = np.unique(index, return_inverse=True)
-        parts = list(self.by_model(once))
+        distinct, place = np.unique(index, return_inverse=True)
+        parts = list(self.by_model(distinct))
         with ThreadPoolExecutor(min(self.workers, len(parts))) as pool:
-            values = list(pool.map(lambda part: evaluate(part[0], part[2]), parts))
-        place = np.argsort(np.concatenate([rows for _, rows, _ in parts]))[place]
+            values = list(pool.map(lambda part: function(part[0], part[2]), parts))
+        # from the order of models back to that of `distinct`, and from there to that of `index`
+        place = np.argsort(np.concatenate([positions for _, positions, _ in parts]))[place]
         return [np.concatenate(arrays)[place] for arrays in zip(*values, strict=True)]
 
-    def first(self, index: np.ndarray) -> First:
-        """Return draws at the first sample."""
-        return First(*self.each_once(index, at_first_sample))
+    def first_states(self, index: np.ndarray) -> FirstStates:
+        """Return the states of the draws `index` (n) at the first sample."""
+        return FirstStates(*self.evaluate(index, at_first_sample))
 
-    def values(self, index: np.ndarray) -> dict[str, np.ndarray]:
-        """Return the unknowns of the nominal model, each (n) in its own unit, by name."""
+    def unknown_values(self, index: np.ndarray) -> dict[str, np.ndarray]:
+        """Return the unknowns of the nominal model for the draws `index` (n): name -> values (n) in the unit of the unknown."""
         values = {unknown.name: np.zeros(len(index)) for unknown in self.nominal.unknowns}
-        for model, rows, motions in self.by_model(index):
+        for model, positions, motions in self.by_model(index):
             for unknown, value in zip(model.unknowns, model.values(motions.u).T, strict=True):
                 if unknown.name in values:
-                    values[unknown.name][rows] = value
+                    values[unknown.name][positions] = value
         return values
 
     def log_likelihood(self, index: np.ndarray) -> np.ndarray:
-        """Return the log likelihood (n) of draws."""
+        """Return the log likelihood (n) of the draws `index` (n)."""
 
         def of_model(model: LanderModel, motions: LanderMotions) -> tuple[np.ndarray]:
             target = LanderTarget(model)
             return (target.log_likelihood(target.track(motions), motions.u),)
 
-        return self.each_once(index, of_model)[0]
+        return self.evaluate(index, of_model)[0]
 
-    def checked(
-        self, picked: np.ndarray, rng: np.random.Generator, s: SamplingSettings
-    ) -> tuple[Checked, np.ndarray]:
-        """Return the predictive check of draws of equal weight, and the probability (n, p) of readings to be outliers."""
+    def check(
+        self, picked: np.ndarray, rng: np.random.Generator, settings: SamplingSettings
+    ) -> tuple[PredictiveCheck, np.ndarray]:
+        """Return the predictive check, and for each reading (n, p) the probability that it is an outlier.
+
+        `picked`: indices of draws of equal weight. Each model counts by its share of these.
+        """
         p, noise_sigmas, outliers = 0.0, 0.0, np.zeros(self.nominal.panels.used.shape)
-        for model, rows, motions in self.by_model(picked):
-            part, target = len(rows) / len(picked), LanderTarget(model)
-            check = predictive_check(target, motions, rng, s)
-            p += part * check.p
-            noise_sigmas += part * check.noise_sigmas
-            outliers += part * target.outlier_probability(motions.take(slice(0, s.checked)))
-        return Checked(p, noise_sigmas), outliers
+        for model, positions, motions in self.by_model(picked):
+            part, target = len(positions) / len(picked), LanderTarget(model)
+            of_model = predictive_check(target, motions, rng, settings)
+            p += part * of_model.p
+            noise_sigmas += part * of_model.noise_sigmas
+            outliers += part * target.outlier_probability(motions.take(slice(0, settings.checked)))
+        return PredictiveCheck(p, noise_sigmas), outliers
 
 
 def _starts(fits: Sequence[ModelFit], draws: Draws, reach_s: float) -> np.ndarray:
-    """Return how many starts of the search led to each region: the largest number under any of the models.
+    """Return how many starts of the search led to each solution (r): the largest number under any of the models.
 
-    A fitted motion belongs to the region of the draw of its model that is nearest to it, as a turn within `reach_s`, the longest
-    time from the reference to a sample.
+    A fitted motion belongs to the solution of the draw of its model that is nearest to it in direction (rad) and in rate times
+    `reach_s` (rad), the longest time from the reference to a sample.
     """
-    most = np.zeros(draws.region.max(initial=0) + 1, dtype=np.int64)
-    for h in np.unique(draws.of_model):
-        of_model = np.flatnonzero(draws.of_model == h)
+    most = np.zeros(draws.solution.max(initial=0) + 1, dtype=np.int64)
+    for h in np.unique(draws.model_index):
+        of_model = np.flatnonzero(draws.model_index == h)
         drawn, fitted = (
             np.concatenate([reach_s * motions.omega, motions.sun], axis=1)
             for motions in (draws.motions.take(of_model), fits[h].motions)
         )
         nearest = of_model[KDTree(drawn).query(fitted)[1]]
         starts = np.bincount(
-            draws.region[nearest], weights=fits[h].motions.starts, minlength=len(most)
+            draws.solution[nearest], weights=fits[h].motions.starts, minlength=len(most)
         )
         most = np.maximum(most, starts.astype(np.int64))
     return most

@@ -1,7 +1,8 @@
-"""Motions of a lander: the state at one instant, the reference, from which the equations of motion carry it to all samples.
+"""Motions of a lander, and their fits and draws.
 
-A motion has D = 5 + m coordinates about a centre: three of the rate, two steps of the direction to the Sun along the tangents of
-its centre, and the m unknowns of the model. K motions, body axes B, rad/s.
+A motion is given by its state at one instant, the reference: the equations of motion carry it from there to all samples. Relative
+to another motion, its centre, it has D = 5 + m coordinates: three of the rate, two of the direction to the Sun along two tangents
+of the unit sphere at the centre, and the m unknowns of the model. Arrays hold K motions. Rates and directions are in body axes.
 """
 
 from __future__ import annotations
@@ -22,17 +23,17 @@ STATE_SIZE = 5
 """Coordinates of the state at the reference, which come first: rate and direction to the Sun."""
 
 RATE, SUN, UNKNOWNS = slice(0, 3), slice(3, STATE_SIZE), slice(STATE_SIZE, None)
-"""Where rate (rad/s), direction to the Sun (rad, along two tangents) and unknowns (sigmas) stand among the coordinates."""
+"""Slices of the coordinates: rate (rad/s), direction to the Sun (rad, along two tangents), and unknowns (sigmas)."""
 
 
 @dataclass(frozen=True)
 class LanderMotions:
-    """K motions by rates `omega` (K, 3) and directions to the Sun `sun` (K, 3) at the reference, and unknowns `u` (K, m) in sigmas.
+    """K motions: rates `omega` (K, 3) and directions to the Sun `sun` (K, 3) at the reference, and unknowns `u` (K, m) in sigmas.
 
-    After a fit also `cost` (K): minus the log of the posterior density, up to a constant that all motions of a model share, and
-    `curvature` (K, D, D): its second derivatives in the coordinates about each motion. In a search `starts` (K): how many starts
-    came together in it, and `neighbours_s` (K): end of the window for which neighbours of it were last placed, or for which it was
-    placed; 0 for none.
+    The other arrays are empty until they are known. After a fit `cost` (K): minus the log of the posterior density, up to a
+    constant that all motions of a model share, and `curvature` (K, D, D): second derivatives of the cost in the coordinates about
+    each motion. In a search `starts` (K): how many starts led to it, and `neighbours_s` (K): time from the reference to the far end
+    of the window for which trial motions were last placed around it, or for which it was placed itself; 0 for neither.
     """
 
     omega: np.ndarray
@@ -49,47 +50,50 @@ class LanderMotions:
 
     @property
     def bare(self) -> LanderMotions:
-        """Return rates, directions and unknowns alone."""
+        """Return the motions with rates, directions and unknowns only."""
         return LanderMotions(self.omega, self.sun, self.u)
 
     def take(self, which: Any) -> LanderMotions:
-        """Return some of the motions."""
-        arrays = (getattr(self, part.name) for part in fields(self))
+        """Return the motions with the indices (or slice, or mask) `which`."""
+        arrays = (getattr(self, entry.name) for entry in fields(self))
         return LanderMotions(*(array[which] if len(array) else array for array in arrays))
 
     @staticmethod
     def joined(parts: Sequence[LanderMotions]) -> LanderMotions:
-        """Return the motions of several parts, with what is known of all of them."""
+        """Return the motions of all parts, one part after the other; arrays that one part lacks are left empty."""
         parts, joined = [part for part in parts if len(part)] or parts[:1], {}
-        for name in (part.name for part in fields(LanderMotions)):
+        for name in (entry.name for entry in fields(LanderMotions)):
             arrays = [getattr(part, name) for part in parts]
             if all(len(array) == len(part) for array, part in zip(arrays, parts, strict=True)):
                 joined[name] = np.concatenate(arrays)
         return LanderMotions(**joined)
 
     def moved(self, step: np.ndarray) -> LanderMotions:
-        """Return the motions moved by steps (K, D) in their own coordinates, without what is known of them."""
+        """Return the motions moved by steps (K, D) in the coordinates about each of them, without cost, curvature and counts."""
         sun = move_on_sphere(self.sun, step[:, SUN])
         return LanderMotions(self.omega + step[:, RATE], sun, self.u + step[:, UNKNOWNS])
 
     def from_centre(self, centre: LanderMotions) -> np.ndarray:
-        """Return the coordinates (K, D) of motions about a centre each, or about one; the inverse of :meth:`moved`.
+        """Return the coordinates (K, D) of the motions about K centres, or about a single one: the inverse of :meth:`moved`.
 
         The direction is reached along the great circle from its centre.
         """
-        across = np.stack(tangent_basis(centre.sun), axis=1)
-        side = np.einsum("kai,ki->ka", np.broadcast_to(across, (len(self), 2, 3)), self.sun)
-        along = np.sum(self.sun * centre.sun, axis=1)
-        size = np.linalg.norm(side, axis=1)
-        stretch = np.divide(
-            np.arctan2(size, along), size, out=np.ones_like(size), where=size > 1e-15
-        )
+        tangents = np.stack(tangent_basis(centre.sun), axis=1)
+        tangents = np.broadcast_to(tangents, (len(self), 2, 3))
+        # the components of a direction at the angle a from its centre: cos a along the centre, sin a along the tangents
+        sideways = np.einsum("kai,ki->ka", tangents, self.sun)
+        cosine, sine = np.sum(self.sun * centre.sun, axis=1), np.linalg.norm(sideways, axis=1)
+        angle = np.arctan2(sine, cosine)
+        stretch = np.divide(angle, sine, out=np.ones_like(sine), where=sine > 1e-15)
         return np.concatenate(
-            [self.omega - centre.omega, side * stretch[:, None], self.u - centre.u], axis=1
+            [self.omega - centre.omega, sideways * stretch[:, None], self.u - centre.u], axis=1
         )
 
     def with_unknowns(self, indices: np.ndarray, count: int) -> LanderMotions:
-        """Return motions of a model with `count` unknowns: theirs stand at `indices` (m), the others at their centres."""
+        """Return the motions under a model with `count` unknowns.
+
+        The present unknowns take the places `indices` (m), the others are at the centres of their priors.
+        """
         u = np.zeros((len(self), count))
         u[:, indices] = self.u
         return LanderMotions(self.omega, self.sun, u, starts=self.starts)
@@ -97,10 +101,10 @@ class LanderMotions:
 
 @dataclass(frozen=True)
 class ModelFit:
-    """Motions of a lander fitted to all samples under a model, best first, and `draws` from its posterior if there are any yet.
+    """K motions of a lander fitted to all samples under a model, and the `draws` from its posterior once they are made.
 
-    `log_evidence` (K): log of the integral of the posterior density around each, by Laplace's method and up to the constant of the
-    model. `complete`: every motion that may fit was followed; `notes`: what the verdict has to say.
+    `log_evidence` (K), best first: log of the integral of likelihood times prior around each motion, by Laplace's method and up to
+    a constant of the readings. `complete`: the search left out no motion that may fit; `notes`: remarks for the verdict.
     """
 
     model: LanderModel
@@ -116,12 +120,12 @@ class ModelFit:
 
     @property
     def drawn(self) -> Draws:
-        """Return the draws of a model that was drawn."""
+        """Return the draws; to be called only once they are made."""
         assert self.draws is not None
         return self.draws
 
     def take(self, which: Any) -> ModelFit:
-        """Return some of the motions."""
+        """Return the fit of the motions with the indices (or slice, or mask) `which`."""
         return replace(
             self, motions=self.motions.take(which), log_evidence=self.log_evidence[which]
         )
@@ -131,19 +135,20 @@ class ModelFit:
 class Draws:
     """N weighted draws from the posterior of a lander, of one model or of several together.
 
-    `log_weight` (N): log of the posterior density over that of the proposals. The mean weight, not the sum, is the evidence;
-    `evidence` is its log. `of_model` (N): index of the model of each draw, by which its unknowns are read; `region` (N): index of
-    the solution that it belongs to. `effective`: how many equal draws they are worth; `tail`: Pareto index k of the weights;
-    `rounds` (r, 3): log evidence, effective share of draws and k after each round.
+    `log_weight` (N): log of likelihood times prior over the density of the proposals. The mean weight, not the sum, is the
+    evidence; `log_evidence` is its log. `model_index` (N): index of the model of each draw, whose unknowns are those of the motion.
+    `solution` (N): index of the solution that a draw belongs to, the most probable being 0. `effective`: effective sample size;
+    `pareto_k`: Pareto index of the weights; `rounds` (r, 3): log evidence, effective share of draws and Pareto index after each
+    round of sampling.
     """
 
     motions: LanderMotions
     log_weight: np.ndarray
-    of_model: np.ndarray
-    region: np.ndarray
+    model_index: np.ndarray
+    solution: np.ndarray
     effective: float
-    tail: float
-    evidence: float
+    pareto_k: float
+    log_evidence: float
     rounds: np.ndarray = field(default_factory=lambda: np.zeros((0, 3)))
 
     def __len__(self) -> int:

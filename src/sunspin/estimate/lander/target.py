@@ -11,7 +11,7 @@ import numpy as np
 from sunspin.estimate.lander.fit import (
     SEARCH_ERROR,
     FitProblem,
-    Point,
+    FitState,
     in_tangents_at,
     normal_equations,
     rotation_by,
@@ -88,8 +88,8 @@ class LanderTarget:
                 motions.sun, slopes.sun, slopes.track_slopes, np.where(learnt[:, None], step, 0.0)
             )
             state = motions.omega, motions.sun, motions.u
-            point = Point(*state, track_slopes, slopes.track, step)
-            system = problem.linearised_after(point, noise_factor)
+            state = FitState(*state, track_slopes, slopes.track, step)
+            system = problem.linearised_after(state, noise_factor)
         linear = system.extras
         at = MotionSlopes(motions.omega, motions.sun, motions.u, linear.track_slopes, linear.track)
         return DenseSystem(system.cost, system.matrix, system.slope, extras=at)
@@ -103,9 +103,9 @@ class LanderTarget:
         problem, still = self._problem, np.zeros((len(u), 0, *track.shape[1:]))
         # differences of readings do not use rate and direction at the reference
         unused = np.zeros((len(u), 3))
-        linear = problem.differences(LanderMotions(unused, unused, u), track, still)
-        _, weight = problem.weigh(linear.value, u, 1.0)
-        curvature, gradient = normal_equations(linear.value, linear.jacobian, weight)
+        linear = problem.linear_readings(LanderMotions(unused, unused, u), track, still)
+        _, weight = problem.weigh(linear.residuals, u, 1.0)
+        curvature, gradient = normal_equations(linear.residuals, linear.jacobian, weight)
         return -gradient, curvature
 
     def log_likelihood(self, track: np.ndarray, u: np.ndarray) -> np.ndarray:

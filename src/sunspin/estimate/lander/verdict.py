@@ -1,4 +1,4 @@
-"""What a posterior says in words, above all if it does not decide."""
+"""The verdict of a posterior: its word and sentence, and the row of the table of passes."""
 
 from __future__ import annotations
 
@@ -8,18 +8,10 @@ import numpy as np
 import xarray as xr
 
 from sunspin.estimate.lander.tree import COUNTS, TOO_FEW, group
-from sunspin.estimate.verdict import (
-    NARROWER,
-    SPEEDS,
-    UPPER,
-    Answers,
-    PassRow,
-    Speed,
-    drawn_speeds,
-)
+from sunspin.estimate.verdict import NARROWER, SPEEDS, UPPER, Answers, PassRow, Speed, drawn_speeds
 
 NOT_EXPLAINED = 0.002
-"""Chance of readings this bad below which no motion explains them."""
+"""p-value of the predictive check below which no motion explains the readings."""
 
 NOISE_LIMIT = 3.5
 """Sigmas of its prior by which the noise may be off; beyond, no motion explains the readings."""
@@ -28,37 +20,38 @@ TAIL_LIMIT, EFFECTIVE_LIMIT = 0.55, 700.0
 """Pareto index k above which, and number of effective draws below which, draws are approximate."""
 
 UNIQUE = 0.99
-"""Probability of the only solution that counts."""
+"""Least probability of a solution that is unique."""
 
 LINE_RAD_S, LINE_SOLUTIONS = 0.15, 25
-"""A solution with a larger sigma, or as many solutions as this, are a line rather than points."""
+"""Solutions form a line if one has a larger sigma than the first, along its longest axis, or if they are as many as the second."""
 
 ACCUSED_SHARE, ACCUSED_LEAST = 0.4, 3
-"""A panel is named if it has so many outliers, and they are this part of its lit readings."""
+"""A panel is named if it has at least so many outliers, and they are more than this part of its lit readings."""
 
 DARK_RUN = 3
-"""So many samples in a row without a lit panel may be a shadow, which no motion explains."""
+"""As many samples in a row without a lit panel may be in the shadow of a planet, which no motion explains."""
 
 
 @dataclass(frozen=True)
 class PosteriorFindings:
     """Quantities that decide the verdict.
 
-    Of each solution (r), by falling probability: `probability`, `rate` (r, 3), the longest sigma `length` and the root mean square
-    `speed`, rad/s. `interval_s`: between samples; `p`, `noise_sigmas`: of the predictive check; `accused`: sentences on panels;
-    `tail`, `effective`: Pareto's k and effective sample size of the draws; `doubts`: on the search, in words; `dark`: when no panel
-    was lit, in words; `complete`: every motion that may fit was followed.
+    Of each solution (r), by falling probability: `probability`, `rate` (r, 3), `longest_sigma` of the rate over all directions, and
+    the root mean square `speed`, rad/s. `interval_s`: median time between samples; `p_value`, `noise_sigmas`: of the predictive
+    check; `accused`: sentences on panels with many outliers; `pareto_k`, `effective`: Pareto index and effective sample size of the
+    draws; `doubts`: on the search, in words; `dark`: when no panel was lit, in words, or empty; `complete`: the search has left out
+    no motion that may fit.
     """
 
     probability: np.ndarray
     rate: np.ndarray
-    length: np.ndarray
+    longest_sigma: np.ndarray
     speed: np.ndarray
     interval_s: float
-    p: float
+    p_value: float
     noise_sigmas: float
     accused: list[str]
-    tail: float
+    pareto_k: float
     effective: float
     doubts: list[str]
     dark: str
@@ -66,37 +59,37 @@ class PosteriorFindings:
 
     @property
     def counted(self) -> np.ndarray:
-        """Return the indices of the solutions that count."""
+        """Return the indices of the solutions that are probable enough to count (:data:`COUNTS`)."""
         return np.flatnonzero(self.probability >= COUNTS)
 
     @property
     def approximate(self) -> list[str]:
-        """Return in a sentence that the draws are approximate; none if they are good."""
-        if self.tail <= TAIL_LIMIT and self.effective >= EFFECTIVE_LIMIT:
+        """Return a sentence in a list that says that the draws are approximate; an empty list if they are good."""
+        if self.pareto_k <= TAIL_LIMIT and self.effective >= EFFECTIVE_LIMIT:
             return []
-        size = f"effective sample size only {self.effective:.0f} (Pareto k {self.tail:.2f})"
+        size = f"effective sample size only {self.effective:.0f} (Pareto k {self.pareto_k:.2f})"
         return [f"{size}: errors and probabilities are approximate"]
 
     @property
     def is_line(self) -> bool:
         """Return whether the solutions are a line rather than points."""
-        longest = self.length[self.counted].max(initial=0.0)
+        longest = self.longest_sigma[self.counted].max(initial=0.0)
         return bool(len(self.counted) >= LINE_SOLUTIONS or longest > LINE_RAD_S)
 
     @property
     def unique(self) -> bool:
-        """Return whether one solution is left, and is no line."""
+        """Return whether a single solution counts, and is no line."""
         alone = len(self.counted) == 1 and self.probability[0] >= UNIQUE
         return bool(alone and not self.is_line)
 
     @property
     def refused(self) -> bool:
-        """Return whether readings this bad, or noise this far from what was stated, mean that no motion explains them."""
-        return self.p < NOT_EXPLAINED or abs(self.noise_sigmas) > NOISE_LIMIT
+        """Return whether no motion explains the readings: by the predictive check, or by a noise far from the stated one."""
+        return self.p_value < NOT_EXPLAINED or abs(self.noise_sigmas) > NOISE_LIMIT
 
 
 def posterior_words(findings: PosteriorFindings) -> tuple[str, str]:
-    """Return a word (unique, aliases, line, not explained, not sure) and the sentence."""
+    """Return the word of the verdict (unique, aliases, line, not explained, not sure) and its sentence."""
     if findings.refused and not findings.complete:
         doubts = "; ".join(findings.doubts)
         text = f"not sure: {doubts}; none of the solutions searched fits"
@@ -118,27 +111,27 @@ def _solutions_text(findings: PosteriorFindings) -> str:
     likeliest = findings.probability[0]
     if findings.is_line:
         between = float(np.ptp(rate[counted], axis=0).max())
-        reach = np.degrees(max(2 * float(findings.length[counted].max()), between))
-        return f"a line of solutions over {reach:.2g} deg/s fits equally well; the data do not select one"
+        extent = np.degrees(max(2 * float(findings.longest_sigma[counted].max()), between))
+        return f"a line of solutions over {extent:.2g} deg/s fits equally well; the data do not select one"
     if findings.unique:
         return f"unique: a single solution, with an angular speed of {best}, fits the readings"
     if len(counted) == 1:
         others = int((findings.probability > 0).sum()) - 1
         share = f"{likeliest:.1%} of the probability, {others} others have the rest"
         return f"several solutions: the likeliest, at {best}, has {share}"
-    apart = np.linalg.norm(rate[counted][:, None] - rate[counted][None], axis=-1)
-    nearest = np.min(apart + np.diag(np.full(len(counted), np.inf)), axis=1)
-    gap = np.degrees(float(np.median(nearest)))
-    turn = 360 / findings.interval_s
+    distance = np.linalg.norm(rate[counted][:, None] - rate[counted][None], axis=-1)
+    to_nearest = np.min(distance + np.diag(np.full(len(counted), np.inf)), axis=1)
+    gap = np.degrees(float(np.median(to_nearest)))
+    revolution = 360 / findings.interval_s  # deg/s
     return (
         f"{len(counted)} aliases, {gap:.3g} deg/s apart, fit equally well; the likeliest, at {best}, has {likeliest:.0%} of the "
-        f"probability (one extra revolution between samples would be {turn:.3g} deg/s)"
+        f"probability (one extra revolution between samples would be {revolution:.3g} deg/s)"
     )
 
 
 def _not_explained(findings: PosteriorFindings) -> str:
     """Return in words that no solution fits, by how much, and what may be the cause."""
-    text = f"not explained: no solution fits; residuals as large as these have a probability of {findings.p:.2g}"
+    text = f"not explained: no solution fits; residuals as large as these have a probability of {findings.p_value:.2g}"
     if abs(findings.noise_sigmas) > NOISE_LIMIT:
         side = "more" if findings.noise_sigmas > 0 else "less"
         text = f"not explained: no solution fits unless the noise is far {side} than assumed ({findings.noise_sigmas:+.1f} sigma)"
@@ -149,7 +142,7 @@ def _not_explained(findings: PosteriorFindings) -> str:
 
 
 def _eclipse_text(findings: PosteriorFindings) -> str:
-    """Return in words how to exclude samples without a lit panel, in case they are in the shadow of a planet; empty without such.
+    """Return in words how to leave out an eclipse, if several samples in a row have no lit panel; else an empty text.
 
     Residuals alone do not refuse a window with an eclipse: with six of 15 samples in the shadow, many readings counted as outliers,
     and residuals as large had a probability of 1 %.
@@ -165,8 +158,9 @@ def dark_stretch(t_s: np.ndarray, lit: np.ndarray) -> str:
 
     `t_s` (n) from the epoch; `lit` (n): whether any panel was lit.
     """
-    edges = np.flatnonzero(np.diff(np.concatenate([[True], lit, [True]]).astype(int)))
-    begin, end = edges[::2], edges[1::2]
+    # with a lit sample added at either end, changes alternate between the begin of a dark stretch and the sample after it
+    changes = np.flatnonzero(np.diff(np.concatenate([[True], lit, [True]]).astype(int)))
+    begin, end = changes[::2], changes[1::2]
     if not len(begin) or (count := int((end - begin).max())) < DARK_RUN:
         return ""
     k = int(np.argmax(end - begin))
@@ -174,8 +168,13 @@ def dark_stretch(t_s: np.ndarray, lit: np.ndarray) -> str:
 
 
 def accused_panels(names: tuple[str, ...], outliers: np.ndarray, lit: np.ndarray) -> list[str]:
-    """Return sentences on panels with many outliers; `outliers` (n, p): probabilities, `lit` (n, p)."""
+    """Return a sentence on each panel with many outliers.
+
+    `names` (p) of the panels; `outliers` (n, p): probability of each reading to be an outlier; `lit` (n, p): whether it is above
+    the lit threshold.
+    """
     sentences = []
+    # dark readings that are outliers count as lit ones: the panel should have been lit
     readings = np.maximum(np.maximum(lit, outliers > 0.5).sum(axis=0), 1)
     for name, count, total in zip(names, outliers.sum(axis=0), readings, strict=True):
         if count >= ACCUSED_LEAST and count > ACCUSED_SHARE * total:
@@ -186,7 +185,7 @@ def accused_panels(names: tuple[str, ...], outliers: np.ndarray, lit: np.ndarray
 
 
 def sigmas(solutions: xr.Dataset) -> np.ndarray:
-    """Return sigmas (r, 3) of the rates of solutions, rad/s."""
+    """Return the sigmas (r, 3) of the components of the rates of solutions, rad/s, from the group `solutions`."""
     return np.sqrt(np.einsum("kii->ki", solutions["omega_cov_B"].values))
 
 
@@ -195,24 +194,25 @@ def pass_row(
 ) -> PassRow:
     """Return the solutions at the first sample and the answers to the four checks, as a row of the table of passes.
 
-    `prior_sigma` (rad/s): of a component of the rate in the ball that was searched. `columns_checked`: what the table says of
-    the columns. The search counts as complete only if the draws are good too.
+    `prior_sigma` (rad/s): of a component of the rate before the data. `columns_checked`: what the table says about the columns of
+    the telemetry. The search counts as complete only if the draws are good too.
     """
     solutions, posterior, about = group(tree, "solutions"), group(tree, "posterior"), tree.attrs
     draws = posterior["omega_B"].values.reshape(-1, 3)
-    of_solution = posterior["solution_id"].values.ravel()
+    solution_id = posterior["solution_id"].values.ravel()
     rate, covariance = solutions["omega_B"].values, solutions["omega_cov_B"].values
+    # quantiles (r, 3) of the speed: of the draws themselves if there are enough, else of a normal distribution
     quantiles = np.quantile(drawn_speeds(rate, covariance), SPEEDS, axis=1).T
     speed = np.linalg.norm(draws, axis=1)
     enough = np.flatnonzero(solutions["effective_draws"].values >= TOO_FEW)
-    for k in np.intersect1d(of_solution, enough):  # the draws themselves if there are enough
-        quantiles[k] = np.quantile(speed[of_solution == k], SPEEDS)
-    best = of_solution == 0
-    if not best.any():  # no draw of the result belongs to the likeliest solution
-        best[:] = True
+    for k in np.intersect1d(solution_id, enough):
+        quantiles[k] = np.quantile(speed[solution_id == k], SPEEDS)
+    likeliest = solution_id == 0
+    if not likeliest.any():  # no draw of the result belongs to the likeliest solution
+        likeliest[:] = True
     value = float(np.linalg.norm(rate[0]))
-    off = float(np.sqrt(np.mean((speed[best] - value) ** 2)))  # rms of its draws from the speed
-    x, y, z = (bool(sigma < NARROWER * prior_sigma) for sigma in draws.std(axis=0))
+    sigma = float(np.sqrt(np.mean((speed[likeliest] - value) ** 2)))
+    x, y, z = (bool(spread < NARROWER * prior_sigma) for spread in draws.std(axis=0))
     answers = Answers(
         unique=findings.unique,
         constrained=(x, y, z),
@@ -220,7 +220,7 @@ def pass_row(
         search_complete=not (findings.doubts or findings.approximate),
         wrong=(),
         left_open="",
-        speed=Speed(value, off, float(np.quantile(speed, UPPER))),
+        speed=Speed(value, sigma, float(np.quantile(speed, UPPER))),
     )
     first = about["t_first_s"]
     return PassRow(

@@ -1,4 +1,4 @@
-"""Observations of a lander from telemetry: every reading of one stretch without impacts, dark ones too."""
+"""Observations of a lander from telemetry: every reading of one stretch without impacts, those of unlit panels too."""
 
 from __future__ import annotations
 
@@ -24,30 +24,31 @@ from sunspin.vehicle.response import panels
 from sunspin.vehicle.response.planes import sphere
 
 FREE_PHASE = "first_rebound"
-"""Phase that is used if a file has several and none is given: of Philae's, the one without an impact and with its wheel running."""
+"""Phase that is used if a file has several and none is asked for: of Philae's, the one without an impact and with its wheel
+running."""
 
 MOST_SAMPLES = 600
 """If there are more samples, evenly spaced ones are used: fewer determine the motion as well."""
 
 MOST_NAMED = 12
-"""Phases that the refusal of an unknown phase names, at most."""
+"""Phases that an error for an unknown phase names, at most."""
 
 LIKELY_UNIT = 0.5, 1.2
-"""Estimated brightness between which stated gains in W or A may be right, if few panels determine it."""
+"""Limits of the likeliest brightness between which stated gains in W or A are taken to be right, if no sample gives a direction."""
 
 BRIGHTEST = 40
-"""Number of the brightest samples that determine the brightness."""
+"""Number of the brightest samples that determine the likeliest brightness."""
 
 BETWEEN_RAD = 0.03
 """Largest angle of a direction from the nearest of those that are tried for the brightness."""
 
 BRIGHTNESS_STEP, DIMMEST, WIDEST = 0.02, 0.03, 3.0
-"""Step of the log brightness, and its limits over the brightest reading."""
+"""Step of the log of the brightness that is tried, and its limits as parts of the brightest reading over its gain."""
 
 
 @dataclass(frozen=True)
 class Window:
-    """Observations of one stretch of telemetry; their times count from its first sample, `start_s` after the epoch.
+    """Observations of one stretch of telemetry; their times count from its first sample, which is `start_s` after the epoch.
 
     `noise_from`: source of the noise of the panels, in words; `remarks`: what was left out, in words.
     """
@@ -67,8 +68,8 @@ def observe_window(
 ) -> Window:
     """Return all usable readings of a stretch of telemetry, and other observations, each at a sample of its own time.
 
-    `begin_s`, `end_s` (s from the epoch) or `phase` bound the stretch. Raises `InputError` for fewer than three samples with a lit
-    panel, an unknown phase or observation.
+    `begin_s`, `end_s` (s from the epoch) or `phase` bound the stretch; `observations` as in :func:`sunspin.posterior`. Raises
+    `InputError` for fewer than three samples with a lit panel, and for an unknown phase or observation.
     """
     vehicle, telemetry, quality = assessment.vehicle, assessment.telemetry, assessment.quality
     vehicle.require_panels()
@@ -96,30 +97,31 @@ def observe_window(
             do="widen the window; `sunspin check` says what is wrong with samples",
         )
     sigma, noise_from = assessment.noise
-    guess = _brightness(vehicle, power, used, sigma, threshold)
+    brightness = _brightness(vehicle, power, used, sigma, threshold)
     require_known(observations, float(times[index[0]]), float(times[index[-1]]))
 
-    # an observation becomes a sample without panels, unless there is a sample at exactly its time
+    # Another observation becomes a sample without panels, unless there is a sample at exactly its time. `place`: numbers of the
+    # samples, first of the readings, then of the other observations.
     given_s = np.array([float(observation["t_s"]) for observation in observations])
-    t_s, sample_of = np.unique(np.concatenate([times[index], given_s]), return_inverse=True)
-    at_samples, at_given = np.split(sample_of.ravel(), [len(index)])
-    whole_power, whole_used = (np.zeros((len(t_s), power.shape[1]), kind) for kind in (float, bool))
-    whole_power[at_samples], whole_used[at_samples] = power, used
-    read = PanelPowers(
-        power=whole_power,
-        used=whole_used,
+    t_s, place = np.unique(np.concatenate([times[index], given_s]), return_inverse=True)
+    place_read, place_given = np.split(place.ravel(), [len(index)])
+    all_power, all_used = (np.zeros((len(t_s), power.shape[1]), kind) for kind in (float, bool))
+    all_power[place_read], all_used[place_read] = power, used
+    readings = PanelPowers(
+        power=all_power,
+        used=all_used,
         sigma=np.asarray(sigma, dtype=np.float64),
         threshold=threshold,
         largest=float(power[used].max()),
         response=vehicle.response_in(),
-        brightness=guess,
+        brightness=brightness,
         throttled=vehicle.throttled,
     )
     given = tuple(
         Given.of(observation, int(sample), len(t_s))
-        for observation, sample in zip(observations, at_given, strict=True)
+        for observation, sample in zip(observations, place_given, strict=True)
     )
-    obs = Observations(t_s - t_s[0], np.zeros((len(t_s), 3)), (read, *given))
+    obs = Observations(t_s - t_s[0], np.zeros((len(t_s), 3)), (readings, *given))
     return Window(obs, float(t_s[0]), noise_from, tuple(remarks))
 
 
@@ -130,7 +132,7 @@ def _stretch(
     end_s: float | None,
     phase: str | None,
 ) -> tuple[np.ndarray, list[str]]:
-    """Return which samples (n) lie in the requested stretch, and remarks in words."""
+    """Return which samples at `times` (n; s) lie in the requested stretch, and remarks in words."""
     inside, remarks = np.ones(len(times), dtype=bool), []
     phases = np.array([], dtype=str)
     if "phase" in telemetry.coords:
@@ -147,23 +149,26 @@ def _stretch(
         remarks.append(f"of the phases in the file only {phase} was used")
     if phase is not None:
         if phase not in names:
-            exist = f"it has {', '.join(names[:MOST_NAMED])}" if names else "it names none"
-            raise InputError("the telemetry has no such phase", got=phase, do=exist)
+            available = f"it has {', '.join(names[:MOST_NAMED])}" if names else "it names none"
+            raise InputError("the telemetry has no such phase", got=phase, do=available)
         inside &= phases == phase
     inside &= times >= (-np.inf if begin_s is None else begin_s)
     inside &= times <= (np.inf if end_s is None else end_s)
     return inside, remarks
 
 
-def _left_out(quality: xr.Dataset, number: np.ndarray, inside: np.ndarray) -> list[str]:
-    """Return remarks on samples that were left out wholly or in part, with the reasons.
+def _left_out(quality: xr.Dataset, is_finite: np.ndarray, inside: np.ndarray) -> list[str]:
+    """Return remarks on samples that were left out wholly or in part: how many for each reason.
 
-    `number` (n, p): readings that are finite.
+    `quality`: use of each sample and reading; `is_finite` (n, p): readings that are numbers; `inside` (n): samples of the stretch.
     """
     measured, why = quality["measured"].values, quality["why"].values
-    whole = inside & ~measured.any(axis=1)
-    part = inside & ~whole & (number & ~measured & ~quality["missed"].values).any(axis=1)
-    reasons = Counter(str(text) for text in why[whole | part] if not text.startswith("used"))
+    wholly = inside & ~measured.any(axis=1)
+    # a panel that is dead in the whole file ("missed") is no reason of a single sample
+    unused = is_finite & ~measured & ~quality["missed"].values
+    partly = inside & ~wholly & unused.any(axis=1)
+    # a text is "dropped: REASON", "down-weighted: REASON" or "used: REASON"
+    reasons = Counter(str(text) for text in why[wholly | partly] if not text.startswith("used"))
     return [
         f"left out in {count} sample{'s' * (count > 1)}: {text.partition(': ')[2]}"
         for text, count in reasons.most_common()
@@ -175,20 +180,20 @@ def _brightness(
 ) -> float:
     """Return a first guess of the brightness, the signal of a panel of gain one at normal incidence, from readings (n, p).
 
-    1. It is the median over samples that give a direction, if there are any.
+    1. It is the median over samples whose readings determine a direction to the Sun, if there are any.
     2. Else, if gains have a unit and the likeliest brightness is near one (`LIKELY_UNIT`), the gains are believed: one.
     3. Else it is the likeliest brightness.
 
     For a direction only panels lit clearly beyond the noise count. With a small threshold half of the dark panels would pass as
-    lit: at 2 to 4 % noise one guess in three was off by more than 10 %, and then no start settled.
+    lit: at 2 to 4 % noise one guess in three was off by more than 10 %, and then no start of the search settled.
     """
     surely_lit = np.maximum(threshold, LIT_SIGMAS * sigma)
-    value = np.where(used, power, 0.0)
-    status = sun_directions(vehicle, value, noise=sigma, lit_threshold=surely_lit)["status"].values
+    power = np.where(used, power, 0.0)
+    status = sun_directions(vehicle, power, noise=sigma, lit_threshold=surely_lit)["status"].values
     has_direction = is_reconstructed(status) & used.all(axis=1)
     if has_direction.any():
-        return float(np.median(panels.brightness(vehicle, value[has_direction])))
-    likeliest = _likeliest_brightness(vehicle, np.maximum(value, 0.0), used, sigma)
+        return float(np.median(panels.brightness(vehicle, power[has_direction])))
+    likeliest = _likeliest_brightness(vehicle, np.maximum(power, 0.0), used, sigma)
     gains_believed = vehicle.gain_unit is not None and LIKELY_UNIT[0] < likeliest < LIKELY_UNIT[1]
     return 1.0 if gains_believed else likeliest
 
@@ -196,12 +201,12 @@ def _brightness(
 def _likeliest_brightness(
     vehicle: Vehicle, power: np.ndarray, used: np.ndarray, sigma: np.ndarray
 ) -> float:
-    """Return the brightness under which readings (n, p) are the likeliest, each sample's direction being anywhere on the sphere.
+    """Return the brightness under which readings (n, p) are the likeliest, if the directions of samples are uniform on the sphere.
 
-    That every sample has a direction is not enough: too bright a Sun is not contradicted where no panel looks along it. But
-    directions near the edge of what panels see would have to be the rule then, and readings just below the largest rare.
+    It is not enough that the Sun of each sample may have some direction: too bright a Sun is not contradicted if no panel faces it.
+    But then most directions would have to be near the edge of what panels see, which is improbable.
     """
-    s = GridSettings()
+    grid = GridSettings()
     light = power / vehicle.input_gains
     samples = np.argsort(-np.linalg.norm(light, axis=1), kind="stable")[:BRIGHTEST]
     # the dark samples of an eclipse bound nothing
@@ -209,17 +214,19 @@ def _likeliest_brightness(
     largest = light[samples].max(axis=1)
     low = max(float(np.median(largest)), DIMMEST * float(largest.max()))
     tried = np.exp(np.arange(np.log(low), np.log(WIDEST * largest.max()), BRIGHTNESS_STEP))
-    shape = panels.panel_power(vehicle, sphere(s.directions))
-    density = np.zeros(len(tried))
-    for i, scale in enumerate(tried):
-        spread = np.hypot(sigma, BETWEEN_RAD * scale * vehicle.input_gains)
+    unit_power = panels.panel_power(vehicle, sphere(grid.directions))  # (directions, p)
+    log_density = np.zeros(len(tried))
+    for i, brightness in enumerate(tried):
+        # the noise, and the change of power from a direction to the nearest one that is tried
+        spread = np.hypot(sigma, BETWEEN_RAD * brightness * vehicle.input_gains)
         for k in samples:
-            square = np.minimum(((scale * shape - power[k]) / spread) ** 2, s.cap) @ used[k]
-            density[i] += float(logsumexp(-0.5 * square)) - float(np.log(spread) @ used[k])
-    return float(tried[np.argmax(density)])
+            off = (brightness * unit_power - power[k]) / spread
+            square = np.minimum(off**2, grid.cap) @ used[k]  # of each direction
+            log_density[i] += float(logsumexp(-0.5 * square)) - float(np.log(spread) @ used[k])
+    return float(tried[np.argmax(log_density)])
 
 
-def with_unknowns(obs: Observations, read: PanelPowers) -> Observations:
-    """Return observations with other panels: `read` are the same panels with their unknowns."""
-    terms = tuple(read if isinstance(term, PanelPowers) else term for term in obs.terms)
+def with_unknowns(obs: Observations, readings: PanelPowers) -> Observations:
+    """Return observations with `readings`, the same panels with their unknowns, in place of the panels."""
+    terms = tuple(readings if isinstance(term, PanelPowers) else term for term in obs.terms)
     return replace(obs, terms=terms)
