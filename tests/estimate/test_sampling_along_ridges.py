@@ -9,6 +9,7 @@ import pytest
 from scipy.integrate import quad
 from scipy.special import logsumexp
 
+from sunspin.estimate.budget import Budget
 from sunspin.estimate.lander.mixture import Mixture, join_models
 from sunspin.estimate.lander.motions import Draws, LanderMotions, ModelFit
 from sunspin.estimate.lander.outer_law import QuadraticTransform, StudentMixture
@@ -375,6 +376,22 @@ def of_model(evidence: float, region_at: list[float], n: int = 400) -> Draws:
     omega[:, 0] += np.array(region_at)[region]
     motions = LanderMotions(omega, np.tile([0.0, 0.0, 1.0], (n, 1)), rng.normal(size=(n, 2)))
     return Draws(motions, np.full(n, evidence), np.zeros(n, int), region, float(n), 0.0, evidence)
+
+
+def test_only_a_round_that_is_left_out_counts_as_cut():
+    """A budget that the first of two rounds uses up leaves one out; one that the last uses up leaves out nothing."""
+    fit = one().fit([0])
+
+    def budget_after(rounds: int, most: float) -> Budget:
+        budget = Budget(most)
+        settings = replace(SAMPLING, rounds=rounds)
+        sample(one(), fit, np.random.default_rng(0), settings, budget)
+        return budget
+
+    first_round = budget_after(1, np.inf).used
+    assert budget_after(2, first_round).cut
+    all_spent = budget_after(2, first_round + 1.0)
+    assert all_spent.used >= all_spent.most and not all_spent.cut
 
 
 def test_models_are_weighed_by_their_evidence():

@@ -50,6 +50,12 @@ def aliases(*probability: float, apart: float = 0.1) -> PosteriorFindings:
         (aliases(0.995, 0.005), "unique", "a single solution"),
         (aliases(0.7, 0.3), "aliases", "2 aliases, 5.73 deg/s apart"),
         (aliases(0.985, 0.008, 0.007), "aliases", "98.5% of the probability, 2 others"),
+        (aliases(0.985), "aliases", "has 98.5% of the probability"),
+        (
+            aliases(*[1 / 150] * 150, apart=1e-3),
+            "aliases",
+            "has 0.7% of the probability, 149 others",
+        ),
         (replace(GOOD, longest_sigma=np.array([0.2])), "line", "a line of solutions over 23 deg/s"),
         (aliases(*[0.04] * 25, apart=1e-3), "line", "the data do not select one"),
         (replace(GOOD, p_value=0.001), "not explained", "residuals as large as these"),

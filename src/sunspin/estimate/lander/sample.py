@@ -54,7 +54,8 @@ def sample(
         rounds.append((draws.log_evidence, draws.effective / len(draws), draws.pareto_k))
         good = draws.effective >= settings.wanted and draws.pareto_k < settings.good_tail
         # good draws end it never after the first round, whose proposals have not adapted to any draws yet
-        if budget.exhausted() or (number and good) or number + 1 == settings.rounds:
+        last = (number and good) or number + 1 == settings.rounds
+        if last or budget.exhausted():  # asked only if a round would be left out
             break
         for ridge, own in zip(ridges, log_shares, strict=True):
             adapt(ridge, own)

@@ -115,10 +115,10 @@ def _solutions_text(findings: PosteriorFindings) -> str:
         return f"a line of solutions over {extent:.2g} deg/s fits equally well; the data do not select one"
     if findings.unique:
         return f"unique: a single solution, with an angular speed of {best}, fits the readings"
-    if len(counted) == 1:
+    if len(counted) < 2:
         others = int((findings.probability > 0).sum()) - 1
-        share = f"{likeliest:.1%} of the probability, {others} others have the rest"
-        return f"several solutions: the likeliest, at {best}, has {share}"
+        rest = f", {others} others have the rest" if others else ""
+        return f"several solutions: the likeliest, at {best}, has {likeliest:.1%} of the probability{rest}"
     distance = np.linalg.norm(rate[counted][:, None] - rate[counted][None], axis=-1)
     to_nearest = np.min(distance + np.diag(np.full(len(counted), np.inf)), axis=1)
     gap = np.degrees(float(np.median(to_nearest)))
