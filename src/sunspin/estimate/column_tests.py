@@ -46,12 +46,6 @@ MOST_SQUARE = 30.0
 SENSORS = {"gyro_B": "gyro", "field_B": "magnetometer", "attitude_B_from_N": "quaternion"}
 """Variable of the telemetry -> what a person calls it."""
 
-COMPONENTS = 3
-"""Degrees of freedom of a reading of a rate, of a field, or of a rotation from one attitude to the next."""
-
-TABLES = {variable: table for table, variable in VARIABLES.items()}
-"""Variable of the telemetry -> the sensor's table in the vehicle file."""
-
 DIRECTIONS, READING_ERROR = 3000, 0.06
 """Number of Sun directions in which a sample is compared with the panels, 3.5 degrees apart, and the error of a reading there, as a
 share of full Sun: half of that distance, and gains."""
@@ -147,10 +141,8 @@ def rival_words(rival: BetterChanges, clock: Callable[[float], str]) -> str:
     side = "higher" if rival.gain > 0 else "lower"
     count = len(rival.changes) - 1
     same = f", and with {count} more that look the same" if count else ""
-    first = _change_words(*rival.changes[0])
-    return (
-        f"with {first} at {clock(rival.at_s)} (log evidence {side} by {abs(rival.gain):.1f}{same})"
-    )
+    gain = f"(log evidence {side} by {abs(rival.gain):.1f}{same})"
+    return f"with {_change_words(*rival.changes[0])} at {clock(rival.at_s)} {gain}"
 
 
 @dataclass(frozen=True)
@@ -172,7 +164,7 @@ class ContradictingSensor:
 class Estimators:
     """Functions that estimate a pass under a changed vehicle file, and the computing budget that they share.
 
-    `evidence`: log evidence by a quick search. `estimate`: result of the whole estimate, None if it is not possible.
+    `evidence`: log evidence by a quick search; `estimate`: the whole estimate, None if it is not possible.
     """
 
     evidence: Callable[[Vehicle, xr.Dataset], float]
@@ -312,7 +304,7 @@ def _best_of_candidates(
     # about the same, as its panels show the same: changes whose costs differ by CLEARLY need not be compared.
     distinct = [(AS_WRITTEN, cost_as_written)]
     for change, cost in candidates:
-        of_same_cost = (earlier for earlier, of_it in distinct if abs(cost - of_it) < CLEARLY)
+        of_same_cost = (earlier for earlier, its_cost in distinct if abs(cost - its_cost) < CLEARLY)
         if not any(len(equivalence(observed, earlier, change)) for earlier in of_same_cost):
             distinct.append((change, cost))
     searched = [change for change, _ in distinct[1:]]
@@ -345,12 +337,10 @@ def rival_exchanges(
 
     The samples, each by itself, cannot tell such columns apart, but a motion can. Both then explain all readings well, and only
     their evidence says which is right. A satellite with three lit panels was decided along a motion 74 sigma off that two exchanged
-    columns made up; with the right ones the log evidence was better by 24. Changes that a quick search excludes
-    (:data:`EXCLUDED`) are not estimated.
-
-    `observed.sun_B`: Sun directions of the estimated motion. `costs`: of the samples of the pass. `noise`: one sigma of the panel
-    readings, of each input (n_input) or of all. `as_written`: log evidence of the file as it is written by the whole estimate, None
-    if it is to be estimated.
+    columns made up; with the right ones the log evidence was better by 24. Changes that a quick search excludes (:data:`EXCLUDED`)
+    are not estimated. `observed.sun_B`: Sun directions of the estimated motion. `costs`: of the samples of the pass. `noise`: one
+    sigma of the panel readings, of each input (n_input) or of all. `as_written`: log evidence of the file as it is written by the
+    whole estimate, None if it is to be estimated.
     """
     dark, lit = _changes_to_compare(observed, telemetry, costs, noise)
     if not (dark or lit):
@@ -400,10 +390,11 @@ def _changes_to_compare(
     light = vehicle.response_in().power(observed.sun_B) / noise
     read = np.nan_to_num(signals(telemetry)) / noise
 
+    with_costs = zip(costs.changes, costs.of_changes, strict=True)
+    allowed = [change for change, cost in with_costs if cost <= costs.as_written + AS_GOOD]
     dark, lit = [], []
-    for change, cost in zip(costs.changes, costs.of_changes, strict=True):
-        if not cost <= costs.as_written + AS_GOOD:
-            continue
+    for change in allowed:
+        # inputs that read another column: none if a panel is reversed
         moved = np.flatnonzero(np.asarray(change.columns) != np.arange(len(change.columns)))
         if len(moved) == 2 and not observed.lit[moved].any():
             # An exchange of two dark columns counts if the estimated motion would light them differently, or if their readings
@@ -538,9 +529,9 @@ def changes_of_sensor(vehicle: Vehicle, name: str) -> list[ColumnChange]:
 
     They are the 48 signed permutations of its axes, or the four conventions of a quaternion.
     """
-    table = TABLES[name]
+    table = next(table for table, variable in VARIABLES.items() if variable == name)
     sensor = vehicle.sensors.with_columns[table]
-    # ways to read the columns: in words, the matrix by which values are multiplied, and keys of the vehicle file
+    # each way in words, with the matrix by which values are multiplied and the keys of the vehicle file
     if isinstance(sensor, Attitude):
         ways = list(_quaternion_conventions(sensor))
     else:
@@ -562,9 +553,8 @@ def _quaternion_conventions(sensor: Attitude) -> Iterator[tuple[str, np.ndarray,
     Values are those that the vehicle file gives: scalar last, B_from_N. Its own convention comes first.
     """
     other_end, other_way = "with its scalar at the other end", "read the other way round"
-    stated = sensor.interpret(
-        np.eye(4)
-    ).values  # row k: the quaternion of which only column k is not zero
+    # row k is the quaternion of which only column k is not zero
+    stated = sensor.interpret(np.eye(4)).values
     for what, other_scalar, other_direction in (
         ("read as the file states", False, False),
         (other_way, False, True),
@@ -573,27 +563,22 @@ def _quaternion_conventions(sensor: Attitude) -> Iterator[tuple[str, np.ndarray,
     ):
         keys = sensor.keys_for_convention(other_scalar, other_direction)
         changed = replace(sensor, **keys).interpret(np.eye(4)).values
-        # values are S^T columns as stated and C^T columns as changed; S is orthogonal, so that C^T S takes one to the other
         yield what, changed.T @ stated, keys
 
 
 def _other_axes(
-    observed: Observed,
-    telemetry: xr.Dataset,
-    name: str,
-    without: xr.Dataset,
-    estimators: Estimators,
+    observed: Observed, telemetry: xr.Dataset, name: str, motion: xr.Dataset, estimators: Estimators
 ) -> BetterChanges | None:
     """Return other axes of a sensor with which the pass fits, and changes of columns that look the same; None if there are none.
 
-    `name`: variable of the sensor; `without`: the estimate without it. The sensor's readings, with each choice of axes, are
+    `name`: variable of the sensor; `motion`: the estimate without it. The sensor's readings, with each choice of axes, are
     compared with that motion, and a whole estimate confirms the best.
     """
     vehicle = observed.vehicle
     changes = changes_of_sensor(vehicle, name)  # the first is what the file states
-    read = telemetry[name].sel(time=without["time"].values).values
+    read = telemetry[name].sel(time=motion["time"].values).values
     costs = np.array(
-        [_sensor_cost(without, read @ change.axes[name].T, name, vehicle) for change in changes]
+        [_sensor_cost(motion, read @ change.axes[name].T, name, vehicle) for change in changes]
     )
     best = int(np.argmin(costs))
     gain = float(costs[0] - costs[best])
@@ -616,15 +601,11 @@ def _other_axes(
 
 
 def _exchanged_by_sensor(
-    observed: Observed,
-    telemetry: xr.Dataset,
-    name: str,
-    without: xr.Dataset,
-    estimators: Estimators,
+    observed: Observed, telemetry: xr.Dataset, name: str, motion: xr.Dataset, estimators: Estimators
 ) -> BetterChanges | None:
     """Return changes of panel columns that only one sensor can see, if the sensor fits the motion under them; else None.
 
-    `name`: variable of the sensor; `without`: the estimate without it, which its readings contradict. Without the sensor such a
+    `name`: variable of the sensor; `motion`: the estimate without it, which its readings contradict. Without the sensor such a
     change looks the same as the file, but for a rotation or mirror M of the body. So its motion is that of the file under M, and
     the sensor is compared with it without a search.
     """
@@ -635,22 +616,22 @@ def _exchanged_by_sensor(
     observed_without = replace(
         observed,
         sensors=observed.sensors - {name},
-        sun_B=np.nan_to_num(without["sun_B"].values),
+        sun_B=np.nan_to_num(motion["sun_B"].values),
     )
     # each change with its M (3, 3); the file as it is written first
     changes = [
         (AS_WRITTEN, np.eye(3)),
         *alike(observed_without, AS_WRITTEN, column_changes(vehicle, telemetry)),
     ]
-    read = telemetry[name].sel(time=without["time"].values).values
-    attitude = Rotation.from_quat(without["B_from_N"].values).as_matrix()
+    read = telemetry[name].sel(time=motion["time"].values).values
+    attitude = Rotation.from_quat(motion["B_from_N"].values).as_matrix()
     costs = np.zeros(len(changes))
     for k, (_, m) in enumerate(changes):
         # the motion under the change; M on both sides keeps the attitude a rotation if M is a mirror
         quaternion = Rotation.from_matrix(m @ attitude @ m.T).as_quat()
-        mapped = without.assign(
-            omega_B=(without["omega_B"].dims, rate_under(m, without["omega_B"].values)),
-            B_from_N=(without["B_from_N"].dims, quaternion),
+        mapped = motion.assign(
+            omega_B=(motion["omega_B"].dims, rate_under(m, motion["omega_B"].values)),
+            B_from_N=(motion["B_from_N"].dims, quaternion),
         )
         costs[k] = _sensor_cost(mapped, read, name, vehicle)
     best = int(np.argmin(costs))
@@ -670,16 +651,17 @@ def _exchanged_by_sensor(
     return BetterChanges(tuple(fitting), gain, at_s)
 
 
-def _contradicts(vehicle: Vehicle, telemetry: xr.Dataset, name: str, without: xr.Dataset) -> bool:
+def _contradicts(vehicle: Vehicle, telemetry: xr.Dataset, name: str, motion: xr.Dataset) -> bool:
     """Return whether a sensor's readings exclude the motion that the others show, within the errors of both.
 
-    `name`: variable of the sensor; `without`: the estimate without it. A pass may fit without a right sensor only because the
+    `name`: variable of the sensor; `motion`: the estimate without it. A pass may fit without a right sensor only because the
     others do not show what the model cannot follow. With a gyro a body that was rotated by hand did not fit, as its rate jumped;
     its panels gave the rate to 3 deg/s, and all readings of the gyro agreed.
     """
-    read = telemetry[name].sel(time=without["time"].values).values
-    squares = _sensor_squares(without, read, name, vehicle)
-    return not misfit(in_sigma(squares, COMPONENTS)).fits
+    read = telemetry[name].sel(time=motion["time"].values).values
+    squares = _sensor_squares(motion, read, name, vehicle)
+    # a rate, a field, or a rotation from one attitude to the next: three degrees of freedom
+    return not misfit(in_sigma(squares, 3)).fits
 
 
 def _sensor_cost(motion: xr.Dataset, read: np.ndarray, name: str, vehicle: Vehicle) -> float:

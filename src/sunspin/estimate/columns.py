@@ -91,12 +91,10 @@ def check_columns(
 ) -> xr.Dataset:
     """Return the result of `rates` with what the data say of columns, axes and signs.
 
-    Passes may lose `decided` and `unique`; `columns_checked` says of each whether the data confirm the columns. Attributes that may
-    be added: `alike`, `columns_unseen`, `columns_rivals`, `columns_doubt`, `columns_changes`, `column_tests_cut`,
-    `symmetric_unlisted`.
-
-    `doubt`: wheels that fit better if they turn the other way, None if none do. `again`: function that estimates changed files,
-    None if the caller asked for no column tests. `budget`: of one pass.
+    Passes may lose `decided` and `unique`; `columns_checked` says of each whether the data confirm the columns. Attributes may be
+    added: `alike`, `columns_unseen`, `columns_rivals`, `columns_doubt`, `columns_changes`, `column_tests_cut`, and
+    `symmetric_unlisted`. `doubt`: wheels that may turn the other way. `again`: function that estimates changed files, None if the
+    caller asked for no column tests. `budget`: of one pass.
     """
     vehicle, telemetry = assessment.vehicle, assessment.telemetry
     observed = what_was_observed(vehicle, telemetry, result.attrs)
@@ -232,8 +230,7 @@ def _with_other_columns(
 ) -> xr.Dataset:
     """Return the result with the changes that make the longest unfitted pass fit, or with the sensor that contradicts the others.
 
-    If all passes fit, the longest of all is tried: its samples, each by itself, then fit other columns far better, or a wheel is in
-    doubt.
+    If all passes fit, the longest of all is tried, since its samples or a wheel raise doubts of the columns.
     """
     unfitted = np.flatnonzero(~result["fits"].values)
     of_pass = samples_of(result, telemetry, _longest(result, unfitted if len(unfitted) else None))
@@ -258,10 +255,8 @@ def _with_rivals(
 
     Rivals that are clearly better accuse the file: they are named, and no pass is decided. Others with a probability of one in ten
     (`AS_PROBABLE`) and another rate leave no pass decided either. Those that the data do not exclude are listed, with their rates,
-    in attrs["columns_rivals"].
-
-    `costs`: of the samples of the longest pass, decided or not. `least_gain`: log evidence by which a rival must be better than the
-    file, that of reversed wheels if a wheel is in doubt, else 0 for no limit.
+    in attrs["columns_rivals"]. `costs`: of the samples of the longest pass, decided or not. `least_gain`: log evidence by which a
+    rival must be better than the file, that of reversed wheels if a wheel is in doubt, else 0 for no limit.
     """
     decided = np.flatnonzero(result["decided"].values)
     if "noise" not in result.attrs or not len(decided):
@@ -308,7 +303,7 @@ def _with_rivals(
         reason = f"other columns fit as well (with {what})"
         return _undecided(result, reason, COLUMNS_UNCHECKED).assign_attrs(columns_doubt=words)
 
-    # 3. Less probable ones do not cost the decision.
+    # 3. Rivals that are not excluded.
     not_excluded = [rival for rival in others if rival.gain > -EXCLUDED]
     if not not_excluded:
         return result
@@ -331,8 +326,8 @@ def estimators_of(
 ) -> Estimators:
     """Return the functions that estimate changed files as the file of a `result` was estimated: same wheels, same largest rate.
 
-    If a solution of the result is faster than its largest rate, which then nobody stated, quick searches go up to the rate that its
-    own search reached.
+    If a solution of the result is faster than its largest rate, which then nobody stated, quick searches go as far as its own
+    search.
     """
     attrs = result.attrs
     source = None if attrs["source"] == "directions" else attrs["source"]

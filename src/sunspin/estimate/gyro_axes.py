@@ -1,9 +1,8 @@
 """Test of a gyro's axes: whether its columns have another order or other signs than the vehicle file states.
 
 Sun and magnetic field hold still in space for minutes. So a direction to one of them in the body, rotated by the rates of the gyro,
-must agree with the one that is measured some samples later. Another order or other signs are named only if the stated ones fail
-this test and the others pass it. Between two samples the rate is taken to change linearly, or as the equations of motion of a body
-with wheels say: each way to read the gyro counts by the better of the two.
+must agree with the one that is measured some samples later. Between two samples the rate changes linearly, or as the wheels turn
+it: each way to read the gyro counts by the better of the two.
 """
 
 from __future__ import annotations
@@ -80,10 +79,7 @@ def wrong_gyro_axes(assessment: Assessment) -> str | None:
 
 
 def _columns_instead(vehicle: Vehicle, telemetry: xr.Dataset, matrix: np.ndarray) -> str:
-    """Return in words which exchanged columns of panels look the same as a gyro whose rates are multiplied by `matrix` (3, 3).
-
-    Empty if none do.
-    """
+    """Return in words which exchanged columns look the same as a gyro whose rates are multiplied by `matrix` (3, 3), if any do."""
     gyro = ColumnChange("the gyro", axes={"gyro_B": matrix})
     wheels = next(iter(wheel_models(vehicle, telemetry)))
     observed = Observed.of(vehicle, telemetry, momenta=momentum_of_each(vehicle, telemetry, wheels))
@@ -97,10 +93,10 @@ def _columns_instead(vehicle: Vehicle, telemetry: xr.Dataset, matrix: np.ndarray
 def _rotations_with_wheels(
     vehicle: Vehicle, telemetry: xr.Dataset, rates: list[np.ndarray]
 ) -> list[np.ndarray]:
-    """Return rotation vectors (n - 1, 3) between samples of a free body with wheels, for each series of rates (n, 3) at the samples.
+    """Return rotation vectors (n - 1, 3) between samples of a free body with wheels, for each of several rates (n, 3).
 
-    The list is empty if inertia or wheels are not known, or if the wheels turn the body rate by more than `MOST_NUTATION_RAD` between
-    two samples, which is not integrated.
+    The list is empty if inertia or wheels are not known, or if the wheels turn the body rate by more than `MOST_NUTATION_RAD`
+    between two samples, which is not integrated.
     """
     if vehicle.inertia_kg_m2 is None or not vehicle.wheels:
         return []
