@@ -393,7 +393,7 @@ def fit_gyro(gyro: Gyro, telemetry: xr.Dataset, result: xr.Dataset) -> GyroFit |
     if len(passes) < FEWEST_PASSES:
         return None
 
-    # unknowns: the zero of each axis (0 to 2), and the scale over the stated one (3)
+    # unknowns: the zero of each axis (0 to 2), and the scale relative to the stated one (3)
     stated_sigma = np.abs(gyro.scale_rad_s * gyro.zero_sigma)
     usual = float(np.sqrt((reading**2).mean()))  # one sigma of a zero without a stated one
     scale_sigma = gyro.scale_sigma / abs(gyro.scale_rad_s) or GYRO_SCALE

@@ -49,10 +49,13 @@ def wrong_gyro_axes(assessment: Assessment) -> str | None:
     # rotations (n - 1, 3) between samples for each way: of linear rates, and of a body with wheels (computed only if needed)
     linear = [rotations_between_samples(time, of_way) for of_way in rates]
     of_body: list[np.ndarray] | None = None
+    at_rest = np.zeros_like(linear[0])
+    # directions are compared over 1, 2, 4, 8 samples, as a slow body rotates little from one to the next
     for lag in LAGS:
-        at_rest = np.zeros_like(linear[0])
-        stated, still = median_direction_errors(time, directions, [linear[0], at_rest], lag)
-        if stated <= WRONG_RAD:
+        stated_error, rest_error = median_direction_errors(
+            time, directions, [linear[0], at_rest], lag
+        )
+        if stated_error <= WRONG_RAD:
             continue
         if of_body is None:
             of_body = _rotations_with_wheels(vehicle, telemetry, rates)
@@ -62,7 +65,7 @@ def wrong_gyro_axes(assessment: Assessment) -> str | None:
         )
         # another way must agree with the directions, and clearly better than the stated way and than a body at rest
         least = float(errors.min())
-        limit = min(RIGHT_RAD, BETTER * errors[0], BETTER * still)
+        limit = min(RIGHT_RAD, BETTER * errors[0], BETTER * rest_error)
         if errors[0] <= WRONG_RAD or least >= limit:
             continue
         ties = np.flatnonzero(errors < AS_GOOD * least)
@@ -103,7 +106,7 @@ def _rotations_with_wheels(
     body, momentum = Body.of(vehicle), next(iter(wheel_models(vehicle, telemetry).values()))
     dt = np.diff(telemetry["time"].values)
     largest_rad = nutation(body.inertia, momentum[:-1]).max(initial=0.0) * dt.max(initial=0.0)
-    if not largest_rad <= MOST_NUTATION_RAD:
+    if not largest_rad <= MOST_NUTATION_RAD:  # nor if it is NaN
         return []
     at_start = np.nan_to_num(rates)[:, :-1]  # (48, n - 1, 3)
     stepped = step(body.inertia, at_start, dt, (momentum[:-1], momentum[1:]))
