@@ -10,7 +10,13 @@ import pytest
 
 import sunspin as ss
 from sunspin.cli.rates import SENSOR_VARIABLES
-from sunspin.estimate.column_tests import SENSORS, Better, Culprit, Named, changes_of_sensor
+from sunspin.estimate.column_tests import (
+    SENSORS,
+    BetterChanges,
+    ChangeWithRate,
+    ContradictingSensor,
+    changes_of_sensor,
+)
 from sunspin.estimate.equivalence import exchange, wheel_changes
 from sunspin.estimate.gyro_axes import wrong_gyro_axes
 from sunspin.estimate.observe import wheel_models
@@ -198,7 +204,7 @@ def test_the_opposite_sign_of_each_key_that_is_named_reverses_the_wheel(key):
 def test_the_advice_for_exchanged_columns_and_a_reversed_wheel_is_to_change_both():
     vehicle = parse_vehicle(text_of() + WHEEL.format(sign=""), "vehicle.toml")
     both = exchange(vehicle, 0, 4).with_wheels((0,), ["w"])
-    words = Better((Named(both),), 20.0).words()
+    words = BetterChanges((ChangeWithRate(both),), 20.0).words()
     advice = words.partition("if it is so, ")[2]
     exchanged = tomllib.loads(with_columns_exchanged(text_of(), advice))["telemetry"]["columns"]
     assert (exchanged["px"], exchanged["my"]) == ("I_my", "I_px")
@@ -207,7 +213,7 @@ def test_the_advice_for_exchanged_columns_and_a_reversed_wheel_is_to_change_both
 
 @pytest.mark.parametrize("name", SENSORS)
 def test_each_sensor_in_the_way_is_named_by_the_option_that_leaves_it_out(name):
-    match = re.search(r"`--without (\w+)`", Culprit(SENSORS[name]).words())
+    match = re.search(r"`--without (\w+)`", ContradictingSensor(SENSORS[name]).words())
     assert match is not None and SENSOR_VARIABLES[match[1]] == name
 
 

@@ -9,10 +9,10 @@ from scipy.spatial.transform import Rotation
 
 from sunspin.estimate.budget import Budget
 from sunspin.estimate.column_tests import (
-    Better,
-    CostsOfSamples,
-    Culprit,
-    Trials,
+    BetterChanges,
+    ContradictingSensor,
+    Estimators,
+    SampleCosts,
     changes_of_sensor,
     what_fits_better,
 )
@@ -82,15 +82,15 @@ def never(*_) -> float:
 def sought(data: xr.Dataset, vehicle: Vehicle = CUBE, evidence=never, run=lambda *_: motion()):
     """Return what fits better than the file, if anything does."""
     observed = Observed.of(vehicle, data)
-    return what_fits_better(observed, data, Trials(evidence, run, Budget(np.inf)))
+    return what_fits_better(observed, data, Estimators(evidence, run, Budget(np.inf)))
 
 
 def pair(a: str, b: str) -> str:
     return f"the columns of panels {a} and {b} exchanged"
 
 
-def names(better: Better) -> list[str]:
-    return [one.change.what for one in better.named]
+def names(better: BetterChanges) -> list[str]:
+    return [one.change.what for one in better.changes]
 
 
 def test_six_panels_have_fifteen_exchanges_and_six_reversals():
@@ -145,10 +145,10 @@ TABLE = {GYRO: "gyro", QUATERNION: "attitude"}
 )
 def test_wrong_axes_of_a_sensor_are_named(name, order, sign, words, keys):
     found = sought(seen(name, lambda read: read[:, order] * sign))
-    assert isinstance(found, Better) and found.gain > 10
+    assert isinstance(found, BetterChanges) and found.gain > 10
     text = found.words()
     assert text.startswith(f"the data fit with the {words}") or f"(a) the {words}" in text
-    assert found.named[0].change.do.startswith(f"set {keys} under [{TABLE[name]}]")
+    assert found.changes[0].change.do.startswith(f"set {keys} under [{TABLE[name]}]")
 
 
 @pytest.mark.parametrize("name", [GYRO, FIELD, QUATERNION])
@@ -183,7 +183,7 @@ def with_its_end_backward(read: np.ndarray) -> np.ndarray:
 )
 def test_a_sensor_that_no_axes_explain_is_named_if_it_contradicts_the_others(name, wrong, option):
     found = sought(seen(name, wrong))
-    assert isinstance(found, Culprit)
+    assert isinstance(found, ContradictingSensor)
     assert found.words().startswith(f"without the {found.sensor} the other readings fit")
     assert f"`--without {option}`" in found.words()
 
@@ -191,7 +191,7 @@ def test_a_sensor_that_no_axes_explain_is_named_if_it_contradicts_the_others(nam
 def test_a_gyro_with_a_wrong_zero_is_named_only_if_the_rest_fits_without_it():
     data = seen(GYRO, lambda read: read + np.radians([0.3, -0.3, 0.3]))
     without = sought(data, run=lambda _, other: motion(fits=GYRO not in other))
-    assert without == Culprit("gyro")
+    assert without == ContradictingSensor("gyro")
     assert sought(data, evidence=lambda *_: 0.0, run=lambda *_: motion(fits=False)) is None
 
 
@@ -203,7 +203,7 @@ def test_exchanged_panels_and_the_equivalent_sensor_axes_are_both_named():
     assert "each of 2 changes" in words
     assert "find out which one is right before you change the file" in words
     # a mirror along x: rates are axial vectors
-    rate = np.degrees([one.omega for one in told.named])
+    rate = np.degrees([one.omega for one in told.changes])
     np.testing.assert_allclose(rate[1], rate[0] * [1, -1, -1], atol=1e-12)
     assert "exchanged" not in sought(seen(GYRO, lambda read: read[:, [1, 0, 2]])).words()
 
@@ -213,7 +213,7 @@ def test_a_reversed_field_axis_its_opposite_and_the_equivalent_exchange_are_name
     found = sought(seen(FIELD, lambda read: read * [1, -1, 1]))
     field, exchange, opposite = names(found)
     assert exchange == pair("+y", "-y") and found.gain > 10
-    for what, one in zip((field, opposite), found.named[::2], strict=True):
+    for what, one in zip((field, opposite), found.changes[::2], strict=True):
         assert what.startswith("the magnetometer read as (")
         assert "under [magnetometer]" in one.change.do
     agreed = seen(GYRO, lambda read: read * [1, -1, -1]).assign(field_B=seen(FIELD)[FIELD])
@@ -224,7 +224,7 @@ def test_exchanged_panels_are_named_if_the_quaternion_agrees_with_their_mirror()
     data = seen(QUATERNION, lambda read: read * [1, -1, -1, 1])  # mirrored along x
     found = sought(data)
     assert pair("+x", "-x") in found.words() and found.gain > 10
-    power = found.named[0].change.applied(CUBE, data)[1]["power_W"].values
+    power = found.changes[0].change.applied(CUBE, data)[1]["power_W"].values
     np.testing.assert_array_equal(power[:, [3, 0]], data["power_W"].values[:, [0, 3]])
 
 
@@ -247,7 +247,7 @@ def test_another_column_assignment_must_be_clearly_better_and_fit():
         )
 
     better = found(30.0)
-    assert isinstance(better, Better) and better.gain == 30.0
+    assert isinstance(better, BetterChanges) and better.gain == 30.0
     assert names(better) == [pair("+y", "-z")]
     assert "CHECK THE COLUMNS" in better.words() and "which one is right" not in better.words()
     assert found(9.0) is None and found(30.0, fits=False) is None
@@ -258,14 +258,14 @@ def test_another_column_assignment_must_be_clearly_better_and_fit():
 def test_samples_by_themselves_show_some_exchanges():
     """Opposite panels lit together: no Sun lights them. A mirror image is not seen so."""
     right = exchanged_columns(0, 0)
-    assert CostsOfSamples.of(CUBE, exchanged_columns(1, 5)).deny_the_columns()
-    assert not CostsOfSamples.of(CUBE, exchanged_columns(1, 4)).deny_the_columns()
+    assert SampleCosts.of(CUBE, exchanged_columns(1, 5)).contradict_the_columns()
+    assert not SampleCosts.of(CUBE, exchanged_columns(1, 4)).contradict_the_columns()
     gains = zip(CUBE.panels, (1.0, 7.0, 2.0, 1.0, 7.0, 2.0), strict=True)
     unequal = replace(CUBE, panels=tuple(replace(panel, gain=gain) for panel, gain in gains))
     # a full battery dims what it reads; panels need not be equal
     for craft, factor in ((CUBE, 1.0), (CUBE, 0.3), (unequal, unequal.panel_gains)):
         changed = right.assign(power_W=factor * right["power_W"])
-        assert not CostsOfSamples.of(craft, changed).deny_the_columns()
+        assert not SampleCosts.of(craft, changed).contradict_the_columns()
 
 
 def test_unlit_panels_distinguish_an_exchange_from_its_mirror():
@@ -285,7 +285,7 @@ def test_unlit_panels_distinguish_an_exchange_from_its_mirror():
         lambda _, other: 50.0 * np.array_equal(other["power_W"], power),
         lambda *_: motion().assign(sun_B=(("time", "axis"), sun)),
     )
-    assert isinstance(found, Better) and names(found) == [pair("+y", "-y")]
+    assert isinstance(found, BetterChanges) and names(found) == [pair("+y", "-y")]
 
 
 def test_equivalent_column_changes_are_named_with_their_rates_and_none_is_recommended():
@@ -295,8 +295,8 @@ def test_equivalent_column_changes_are_named_with_their_rates_and_none_is_recomm
         replace(CUBE, inertia_kg_m2=0.04 * np.eye(3)),
         lambda _, other: 50.0 * (other["power_W"].values[0, 5] < 0.02),
     )
-    assert isinstance(found, Better)
-    rate = {name: one.omega for name, one in zip(names(found), found.named, strict=True)}
+    assert isinstance(found, BetterChanges)
+    rate = {name: one.omega for name, one in zip(names(found), found.changes, strict=True)}
     assert set(rate) == {pair("+y", "-z"), pair("+z", "-y")}
     x, y, z = rate[pair("+y", "-z")]
     np.testing.assert_allclose(rate[pair("+z", "-y")], [-x, z, y], atol=1e-12)

@@ -49,7 +49,7 @@ def test_right_elements_fit_and_their_offset_is_within_its_errors(case, judged):
     used, check, words = judged
     about = case[3]
     assert check.verdict is Verdict.FITS and "its elements fit" in words
-    assert check.better <= 1 and check.turn_times < 1.3 and check.mistaken < 0.01
+    assert check.better <= 1 and check.node_factor < 1.3 and check.better_by_chance < 0.01
     assert used.shift_s == check.shift_s
     assert used.offset_sigma_s < 1.01 * check.shift_sigma_s
     assert abs(check.shift_s - about["ahead_s"]) < 4 * check.shift_sigma_s < 0.7 * about["sigma_s"]
@@ -62,10 +62,10 @@ def test_right_elements_fit_and_their_offset_is_within_its_errors(case, judged):
 @pytest.mark.parametrize("by_deg", [12.0, 70.0])
 def test_elements_of_another_plane_are_refused_by_their_residuals(by_deg, case):
     used, check, words = judged_orbit(orbit(case, by_deg=by_deg), *case[:2], settings=FEW)
-    assert used is None and check.verdict is Verdict.REFUSED and check.turn_times > 1.3
+    assert used is None and check.verdict is Verdict.REFUSED and check.node_factor > 1.3
     assert words.startswith("the orbit is NOT USED: elements not consistent with the telemetry")
     if by_deg == 12.0:
-        assert not check.sun_in_shadow.samples and abs(np.degrees(check.turn_rad) + 12.0) < 1e-9
+        assert not check.sun_in_shadow.samples and abs(np.degrees(check.node_rad) + 12.0) < 1e-9
 
 
 def test_a_clock_off_by_an_hour_is_named(case):
@@ -211,7 +211,7 @@ def test_samples_that_show_field_and_sun_come_first(folder):
 def test_right_elements_rank_first_despite_a_large_zero(folder):
     assessment, right, wrong, _ = spinner(folder, number=1)
     check = check_orbit(right, assessment.vehicle, assessment, settings=FEW)
-    assert check.verdict is Verdict.FITS and check.better == 0 and check.mistaken < 0.01
+    assert check.verdict is Verdict.FITS and check.better == 0 and check.better_by_chance < 0.01
     check = check_orbit(wrong, assessment.vehicle, assessment, settings=FEW)
     assert check.verdict is Verdict.REFUSED
 

@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from sunspin.environment.field import MODEL_SIGMA_T
 from sunspin.environment.orbit import SunAlongZ
-from sunspin.estimate.orbit.attitudes import SENSORS, OrbitModel, OrbitState
+from sunspin.estimate.orbit.attitudes import FIRST_SENSOR, OrbitModel, OrbitState
 from sunspin.estimate.orbit.calibration import (
     SUN_TURNED_RAD,
     Calibration,
@@ -24,7 +24,6 @@ from sunspin.estimate.orbit.invariants import (
     MagnetometerModel,
     MagnetometerState,
     Predicted,
-    Scales,
     Sky,
     fit_magnetometer,
     fit_sphere,
@@ -63,7 +62,7 @@ def aligned(rng, n=200, noise=12.0):
 @pytest.mark.parametrize("of_readings", [False, True])
 def test_the_jacobian_of_strength_and_angle_is_that_of_their_residuals(of_readings):
     readings, predicted = aligned(np.random.default_rng(1), 20)
-    model = MagnetometerModel(readings, Scales(200.0, 3e-5), of_readings=of_readings)
+    model = MagnetometerModel(readings, 200.0, 3e-5, of_readings=of_readings)
     unknown = 0.2 * np.random.default_rng(2).normal(size=(1, 12))
     scatter, scale = np.array([[0.1, 0.7]]), np.ones(1)
     parts = (predicted.strength / 3e-5, predicted.toward / 3e-5, scatter, scale)
@@ -109,8 +108,8 @@ def test_an_exact_linear_sensor_gives_back_its_matrix_and_zero_whatever_the_atti
         field, sun = (np.einsum("nij,nj->ni", attitude, v) for v in (sky.field[0], sky.sun))
         reading = np.linalg.solve(matrix, (field / 4e-5).T).T + zero
         readings = shown(reading, sun, 0.03)._replace(t_s=t_s)
-        _, state, scales = fit_magnetometer(readings, sky.invariants())
-        in_T = scales.in_T(state.unknown)[0]
+        model, state = fit_magnetometer(readings, sky.invariants())
+        in_T = model.calibration(state)[0]
         np.testing.assert_allclose(in_T[MATRIX].reshape(3, 3), 4e-5 * matrix, atol=4e-8)
         # the fit with attitudes, from a start that is far off
         bare = replace(vehicle, sensors=replace(vehicle.sensors, magnetometer=None))
@@ -160,11 +159,13 @@ def test_noise_of_the_magnetometer_shrinks_its_matrix_less_by_the_distance_of_re
 
     usual = []
     for seed in range(6):
-        _, state, units = fit_magnetometer(*aligned(np.random.default_rng(seed)))
-        usual.append(scale(state) * units.field_T / units.reading / SCALE_T)
+        model, state = fit_magnetometer(*aligned(np.random.default_rng(seed)))
+        usual.append(scale(state) * model.unit_T / model.unit / SCALE_T)
         readings, predicted = aligned(np.random.default_rng(seed), noise=60.0)
-        _, state, units = fit_magnetometer(readings, predicted)
-        by_strength = MagnetometerModel(readings, units, of_readings=False).fit(state, True)
+        model, state = fit_magnetometer(readings, predicted)
+        by_strength = MagnetometerModel(readings, model.unit, model.unit_T, of_readings=False).fit(
+            state, fit_scatter=True
+        )
         assert scale(by_strength) < 0.97 * scale(state)
     assert 0.9 < np.median(usual) < 1.1
 
@@ -215,9 +216,11 @@ def test_errors_of_matrix_zero_and_place_follow_from_the_covariance_of_the_fit()
     size = np.sqrt(np.diag(expected))
     ours, scale = calibration.errors.T @ calibration.errors, np.outer(size, size)
     np.testing.assert_allclose(ours / scale, expected / scale, atol=1e-6)
-    np.testing.assert_allclose(np.diag(fit.covariance)[1], 4 * np.diag(fit.model)[1], rtol=1e-9)
-    assert (np.diag(fit.covariance) >= np.diag(fit.model)).all()
-    assert fit.bias.shape == (1, 2) and fit.scale[0, 0] == 1 + fit.values[SENSORS + 2]
+    np.testing.assert_allclose(
+        np.diag(fit.covariance)[1], 4 * np.diag(fit.by_curvature)[1], rtol=1e-9
+    )
+    assert (np.diag(fit.covariance) >= np.diag(fit.by_curvature)).all()
+    assert fit.bias.shape == (1, 2) and fit.scale[0, 0] == 1 + fit.values[FIRST_SENSOR + 2]
 
 
 def test_at_another_offset_the_calibration_follows_its_regression_on_the_place():
@@ -247,7 +250,7 @@ def test_directions_of_panels_turn_all_fields_by_one_angle():
 
 def test_a_reading_whose_strength_is_off_has_a_larger_noise():
     nothing = np.zeros((13, 13))
-    calibration = FieldCalibration(1e-9 * np.eye(3), np.zeros(3), nothing, 5e-7, 1e-9)
+    calibration = FieldCalibration(1e-9 * np.eye(3), np.zeros(3), nothing, 5e-7)
     field = 3e-5 * np.array([[1.0, 0, 0], [0, 0.6, 0.8], [0, 1, 0], [0, 0, 1]])
     reading = 1e9 * field * np.array([1.0, 1.4, 0.8, np.nan])[:, None]
     noise = np.hypot(5e-7, MODEL_SIGMA_T)

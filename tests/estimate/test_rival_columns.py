@@ -8,8 +8,8 @@ import pytest
 import xarray as xr
 
 from sunspin.estimate.budget import Budget
-from sunspin.estimate.column_tests import CostsOfSamples, gains_of_silent
-from sunspin.estimate.columns import SAMPLES_DENY, check_columns, clock_time, trials_of
+from sunspin.estimate.column_tests import SampleCosts, gains_of_silent_inputs
+from sunspin.estimate.columns import SAMPLES_CONTRADICT, check_columns, clock_time, estimators_of
 from sunspin.estimate.equivalence import AS_WRITTEN, exchange
 from sunspin.estimate.rates import rates
 from sunspin.estimate.settings import RATES
@@ -107,7 +107,7 @@ def test_of_several_passes_the_samples_of_the_longest_decided_one_choose_the_col
         check_columns(known, assessment, None, rates, RATES, Budget(1.0))
     for samples, (compared, costs) in zip((24, 16), asked, strict=True):
         assert compared.sizes["time"] == samples
-        expected = CostsOfSamples.of(spinner.vehicle, compared)
+        expected = SampleCosts.of(spinner.vehicle, compared)
         assert costs.as_written == expected.as_written
         np.testing.assert_array_equal(costs.of_changes, expected.of_changes)
 
@@ -127,8 +127,8 @@ def test_a_right_file_whose_columns_without_a_signal_are_left_out_is_not_accused
     """Two columns read next to nothing. One of them would be left out if they were exchanged, and both are in the right file."""
     craft, result = of_satellite((7, 0), range(8))
     vehicle, data = files(craft, np.arange(8), craft.momenta)
-    assert gains_of_silent(vehicle, data, AS_WRITTEN) == [1.0, 2.0]
-    assert gains_of_silent(vehicle, data, exchange(vehicle, 3, 6)) == [2.0]
+    assert gains_of_silent_inputs(vehicle, data, AS_WRITTEN) == [1.0, 2.0]
+    assert gains_of_silent_inputs(vehicle, data, exchange(vehicle, 3, 6)) == [2.0]
     assert is_not_accused(result)
 
 
@@ -211,7 +211,7 @@ def test_samples_that_deny_the_columns_leave_a_pass_undecided_without_column_tes
     simulated = make("columns exchanged", 7, 4)
     result = estimate(simulated)
     assert result["fits"].values.all() and not result["decided"].values.any()
-    assert SAMPLES_DENY in str(result["why_not_decided"].values[0])
+    assert SAMPLES_CONTRADICT in str(result["why_not_decided"].values[0])
     assert "estimate with `column_tests=True`" in result.attrs["columns_doubt"]
     tested = estimate(simulated, column_tests=True)
     named = [change["what"] for change in json.loads(tested.attrs["columns_changes"])]
@@ -238,8 +238,8 @@ def test_other_columns_are_searched_as_far_as_the_file_as_it_is_written(monkeypa
         faster = result.assign(
             omega_x=(result["omega_x"].dims, rate), omega_y=0 * result["omega_x"], omega_z=0.0
         )
-        trials = trials_of(faster, again, settings, budget)
-        assert trials.evidence(FOUR_SIDES, data) == pytest.approx(reach)
+        estimators = estimators_of(faster, again, settings, budget)
+        assert estimators.evidence(FOUR_SIDES, data) == pytest.approx(reach)
 
 
 def test_a_motion_whose_mirror_image_is_not_listed_is_not_decided():

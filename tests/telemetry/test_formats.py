@@ -13,7 +13,7 @@ import tomlkit
 import xarray as xr
 
 import sunspin as ss
-from sunspin.estimate.column_tests import signed_axes, to_write
+from sunspin.estimate.column_tests import advice_to_set, signed_axes
 from sunspin.estimate.terms.panels import ReadingTimes
 from sunspin.output.folder import write_netcdf
 from sunspin.telemetry.stored import restore_telemetry
@@ -244,7 +244,7 @@ def test_suggested_keys_read_a_sensor_as_suggested():
     for table in ("gyro", "magnetometer"):
         old = sensor(table, base[table])
         for _, order, sign in signed_axes():
-            told = to_write(table, old.keys_for_axes(order, sign)).removeprefix("set ")
+            told = advice_to_set(table, old.keys_for_axes(order, sign)).removeprefix("set ")
             lines = told.partition(" under ")[0].split(" and ")
             # each is a line that can stand in the table as it is
             assert all(line.partition(" = ")[0].isidentifier() for line in lines)

@@ -1,4 +1,4 @@
-"""Sensors of a vehicle calibrated by one telemetry file: what the file determines, in the keys of the vehicle file."""
+"""Calibration of a vehicle's sensors by one telemetry file, as new values of keys of the vehicle file."""
 
 from __future__ import annotations
 
@@ -35,32 +35,33 @@ from sunspin.vehicle.sensors import Gyro
 from sunspin.vehicle.timeline import utc_after
 
 BLOCKS = 8
-"""Parts of the file that a jackknife of the panels' gains leaves out in turn."""
+"""Number of parts of the file that a jackknife of the panels' gains leaves out in turn."""
 
 SMALL = 1e-5
-"""Step, in prior sigmas, of the differences by which errors are propagated to the keys of the file."""
+"""Step, in prior sigmas, of the finite differences by which errors are propagated to the keys of the file."""
 
 GYRO_SCALE = 0.2
-"""One sigma of a gyro's scale over the stated one, if the vehicle file states none."""
+"""One sigma of a gyro's scale, relative to the stated one, if the vehicle file states none."""
 
 GYRO_ROUNDS, NOISE_STEP = 8, (0.5, 3.0)
-"""Alternations of a gyro's zero and scale with the size of the errors, and the least and largest factor by which that changes at a
-time."""
+"""Alternations of a gyro's zero and scale with the size of the errors, and the limits of the factor by which the size changes in
+one."""
 
 FEWEST_PASSES = 3
 """A gyro is calibrated with no fewer passes, as nothing would show the errors of their rates. On one pass of five samples a torque
-was fitted that there was not, and the gyro's scale became 2.6 times too large, with a sigma of 0.6."""
+was fitted that did not exist, and the gyro's scale became 2.6 times too large, with a sigma of 0.6."""
 
-NUMBERS = ("stated", "value", "sigma", "prior_sigma")
-VARIABLES = (*NUMBERS, "unit", "key", "component", "determined", "written", "samples")
-"""Variables of the result; the first are numbers of the vehicle file."""
+VARIABLES = tuple(
+    "stated value sigma prior_sigma unit key component determined written samples".split()
+)
+"""Variables of the result; the first four are numbers in the unit of the key."""
 
 
 class Key(NamedTuple):
-    """A key of the vehicle file with m components: `where` it is (table, name of the part), and its numbers, in arrays (m).
+    """A calibrated key of the vehicle file with m components: `where` it is (table, name of the part), and its numbers (m).
 
-    `stated`: in the file; `value`, `sigma`: estimated; `prior`: sigma before the data. `samples`: how many show it. A key that
-    makes sense only with others is `written` to the file if all of them are determined; None: if this one is.
+    `stated`: in the file; `value`, `sigma`: estimated; `prior`: sigma before the data. `samples`: how many show it. `written`:
+    whether the key goes into the file, for keys that make sense only together; None if it does once it is determined itself.
     """
 
     where: tuple[str, ...]
@@ -158,7 +159,7 @@ def _in_toml(numbers: np.ndarray) -> Any:
 
 
 def _panel_keys(assessment: Assessment, notes: list[str]) -> tuple[list[Key], Vehicle]:
-    """Return the keys of the panels' gains, and the vehicle with these gains. Notes say why there are none."""
+    """Return the keys of the panels' gains, none with a note if they are not determined, and the vehicle with these gains."""
     vehicle, telemetry, quality = assessment.vehicle, assessment.telemetry, assessment.quality
     if vehicle.channels:
         notes.append("gains of panels: an input that panels share does not tell the gain of each")
@@ -238,7 +239,7 @@ def _require_consistent(check: OrbitCheck) -> None:
 
 
 def _fit_attributes(fitted: Calibration, orbit: Orbit) -> dict[str, Any]:
-    """Return the attributes of the result for a fit along the orbit: offset, drift, residuals, noise."""
+    """Return the attributes of the result for a fit along the orbit: offset, drift, residuals before and after, noise."""
     return {
         "shift_s": orbit.shift_s + fitted.shift_s,
         "shift_sigma_s": fitted.shift_sigma_s,
@@ -256,28 +257,29 @@ def _fit_attributes(fitted: Calibration, orbit: Orbit) -> dict[str, Any]:
 def propagated(
     fitted: Calibration, quantity: Callable[[Calibration], np.ndarray]
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return a function (m) of the calibration, its sigma, and its sigma before the data.
+    """Return the value (m) of a function of the calibration, its sigma (m), and its sigma before the data (m).
 
     Errors are propagated linearly: a covariance C of the unknowns becomes S C S^T, with the derivatives S (m, D) by differences.
     The sigma is the larger one of those by the curvature and by the jackknife over passes.
     """
     value, columns = quantity(fitted), []
     for k, step in enumerate(SMALL * np.sqrt(np.diag(fitted.prior))):
-        moved = fitted.values.copy()
-        moved[k] += step
-        columns.append((quantity(replace(fitted, values=moved)) - value) / step)
+        changed = fitted.values.copy()
+        changed[k] += step
+        columns.append((quantity(replace(fitted, values=changed)) - value) / step)
     slope = np.stack(columns, axis=1)
+    # roots of the diagonal of S C S^T
     by_curvature, by_jackknife, prior = (
         np.sqrt(np.einsum("ij,jk,ik->i", slope, covariance, slope))
-        for covariance in (fitted.model, fitted.robust, fitted.prior)
+        for covariance in (fitted.by_curvature, fitted.by_jackknife, fitted.prior)
     )
     return value, np.maximum(by_curvature, by_jackknife), prior
 
 
 def _magnetometer_keys(vehicle: Vehicle, fitted: Calibration) -> list[Key]:
-    """Return the keys of the magnetometer: field = scale_T matrix (column - zero).
+    """Return the keys of the magnetometer, field = scale_T matrix (column - zero); none without readings of it.
 
-    `fitted.matrix_T` (3, 3) is scale and matrix together, relative to the matrix of the vehicle file. Their product is split into a
+    `fitted.matrix_T` (3, 3) is scale and matrix together, relative to the matrix of the file. The product of both is split into a
     rotation and a stretch (polar decomposition), and the stretch into its scale, the cube root of the determinant, and the rest.
     """
     stated, n = vehicle.sensors.magnetometer, fitted.samples["field"]
@@ -289,15 +291,15 @@ def _magnetometer_keys(vehicle: Vehicle, fitted: Calibration) -> list[Key]:
         return stated.zero + stated.sign * np.linalg.solve(stated.matrix, calibration.zero)
 
     def rotation_and_stretch(calibration: Calibration) -> tuple[np.ndarray, np.ndarray]:
-        """Return the rotation vector (3) of the axes, and the symmetric matrix (3, 3) before it, in T for a unit of a reading."""
+        """Return the rotation vector (3) of the axes, and the symmetric stretch (3, 3) before it, in T for a unit of a column."""
         rotation, stretch = polar(calibration.matrix_T @ stated.matrix, side="right")
         return Rotation.from_matrix(rotation).as_rotvec(), stretch
 
     def scale(calibration: Calibration) -> np.ndarray:
-        """Return the scale (1) in T for a unit of a reading."""
+        """Return the scale (1) in T for a unit of a column."""
         return np.array([np.cbrt(np.linalg.det(rotation_and_stretch(calibration)[1]))])
 
-    # Without the Sun, strengths do not determine the rotation of the axes: then the matrix is the symmetric one.
+    # Strengths alone, without the Sun, do not determine the rotation of the axes: then the matrix is the stretch alone.
     _, sigma, prior = propagated(fitted, lambda calibration: rotation_and_stretch(calibration)[0])
     axes_known = bool((sigma < NARROWER * prior).all())
 
@@ -317,6 +319,7 @@ def _magnetometer_keys(vehicle: Vehicle, fitted: Calibration) -> list[Key]:
     all_determined = all(key.determined.all() for key in keys)
     if stated.noise is None:
         noise = np.array([fitted.noise_T]) / scale(fitted)
+        # stated, value, sigma of a standard deviation by n samples, prior
         numbers = (np.array([np.nan]), noise, noise / np.sqrt(2 * n), noise)
         keys.append(Key(where, "noise", *numbers, "reading", n))
     return [key._replace(written=all_determined) for key in keys]
@@ -325,42 +328,43 @@ def _magnetometer_keys(vehicle: Vehicle, fitted: Calibration) -> list[Key]:
 def _sun_sensor_keys(vehicle: Vehicle, readings: Readings, fitted: Calibration) -> Iterator[Key]:
     """Yield the keys of Sun sensors that have readings: true angle = scale reading - bias.
 
-    The fit is relative to the file, whose angle is (scale reading - bias) of the keys stated there: true angle = (angle - fitted
-    bias) / fitted scale. So the new scale is the stated one over that of the fit, and the new bias (stated + fitted) over it.
+    The fit is relative to the angle (scale reading - bias) by the keys stated in the file: true angle = (angle - fitted bias) /
+    fitted scale. So the new scale is stated scale / fitted scale, and the new bias (stated + fitted bias) / fitted scale.
     """
     biases, scales = slice(0, 2), slice(2, 5)  # of SUN_KEYS
     for k, sensor in enumerate(vehicle.sensors.sun_sensors):
         x_read, y_read = np.isfinite(readings.angle[:, k]).T
-        turned = readings.y_turned[:, k]
-        shown_by = (x_read, y_read, x_read, y_read & ~turned, y_read & turned)  # of SUN_KEYS
+        wraps = readings.y_turned[:, k]
+        # samples that show each of SUN_KEYS
+        shown_by = (x_read, y_read, x_read, y_read & ~wraps, y_read & wraps)
         stated = np.array([getattr(sensor, key) for key in SUN_KEYS], dtype=float)  # None: NaN
 
         def corrected_keys(
             calibration: Calibration, k: int = k, stated: np.ndarray = stated
         ) -> np.ndarray:
-            """Return the values (5) of the keys of sensor k by a calibration."""
+            """Return the values (5) of SUN_KEYS of sensor k by a calibration."""
             bias = (stated[biases] + calibration.bias[k]) / calibration.scale[k, :2]
             return np.concatenate([bias, stated[scales] / calibration.scale[k]])
 
-        numbers = np.stack([stated, *propagated(fitted, corrected_keys)], axis=1)  # (5, 4)
+        # stated, value, sigma and prior of each key (5, 4, 1): a key has arrays of its components, here one
+        numbers = np.stack([stated, *propagated(fitted, corrected_keys)], axis=1)[..., None]
         for key, samples, of_key in zip(SUN_KEYS, shown_by, numbers, strict=True):
             has_column = sensor.y_column is not None or not key.startswith("y")
-            if not (has_column and samples.any() and np.isfinite(of_key[0])):
-                continue
-            unit = "rad" if key.endswith("bias_rad") else "rad/reading"
-            where, count = ("sun_sensor", sensor.name), int(samples.sum())
-            old, new, error, before = of_key[:, None]
-            yield Key(where, key, old, new, error, before, unit, count)
+            if has_column and samples.any() and np.isfinite(of_key[0, 0]):
+                unit = "rad" if key.endswith("bias_rad") else "rad/reading"
+                where, count = ("sun_sensor", sensor.name), int(samples.sum())
+                old, new, error, before = of_key
+                yield Key(where, key, old, new, error, before, unit, count)
 
 
 # ----------------------------------------------------------------------------------------------------------------------------- gyro
 
 
 class GyroFit(NamedTuple):
-    """Zero of each axis and scale of a gyro, `values` (4): reading (rad/s, by the vehicle file) = scale rate + zero.
+    """Zero of each axis and scale of a gyro, `values` (4): reading = scale rate + zero, in rad/s, the reading by the vehicle file.
 
-    `sigma` (4): the larger one of those by the curvature and by the scatter between passes; `prior` sigmas (4); numbers of samples
-    and passes.
+    `sigma` (4): the larger one of those by the curvature and by the scatter between passes; `prior`: sigmas before the data (4);
+    numbers of samples and passes.
     """
 
     values: np.ndarray
@@ -389,22 +393,23 @@ def fit_gyro(gyro: Gyro, telemetry: xr.Dataset, result: xr.Dataset) -> GyroFit |
     if len(passes) < FEWEST_PASSES:
         return None
 
-    # unknowns: the zero of each axis (0 to 2), and the scale over the stated one (3)
-    stated = np.abs(gyro.scale_rad_s * gyro.zero_sigma)
-    usual = float(np.sqrt((reading**2).mean()))
+    # unknowns: the zero of each axis (0 to 2), and the scale relative to the stated one (3)
+    stated_sigma = np.abs(gyro.scale_rad_s * gyro.zero_sigma)
+    usual = float(np.sqrt((reading**2).mean()))  # one sigma of a zero without a stated one
     scale_sigma = gyro.scale_sigma / abs(gyro.scale_rad_s) or GYRO_SCALE
-    prior = np.append(np.where(stated > 0, stated, usual), scale_sigma)
+    prior = np.append(np.where(stated_sigma > 0, stated_sigma, usual), scale_sigma)
     centre = np.array([0.0, 0.0, 0.0, 1.0])  # of the prior
     values, covariance, factor = centre, np.diag(prior**2), 1.0
     for _ in range(GYRO_ROUNDS):
+        # sums over passes and axes: normal equations, gradients of each pass, weighted squares and their number
         normal, right = np.diag(prior**-2.0), prior**-2.0 * centre
         gradients, squares, count = np.zeros((len(passes), 4)), 0.0, 0
         for k, number in enumerate(passes):
             rows = pass_of == number
             for axis in range(3):
                 sigma = np.sqrt(covariance_B[rows, axis, axis])
-                noise = gyro.noise_rad_s**2 * np.eye(len(sigma)) + np.outer(sigma, sigma)
-                whitening = np.linalg.inv(np.linalg.cholesky(factor**2 * noise))
+                errors = gyro.noise_rad_s**2 * np.eye(len(sigma)) + np.outer(sigma, sigma)
+                whitening = np.linalg.inv(np.linalg.cholesky(factor**2 * errors))
                 design = np.zeros((len(sigma), 4))
                 design[:, axis], design[:, 3] = 1.0, rate[rows, axis]
                 design, target = whitening @ design, whitening @ reading[rows, axis]
@@ -416,7 +421,7 @@ def fit_gyro(gyro: Gyro, telemetry: xr.Dataset, result: xr.Dataset) -> GyroFit |
                 squares, count = squares + weight * residual @ residual, count + len(residual)
         covariance = np.linalg.inv(normal)
         values = covariance @ right
-        factor *= float(np.clip(np.sqrt(squares / max(count - 4, 1)), *NOISE_STEP))
+        factor *= float(np.clip(np.sqrt(squares / max(count - 4, 1)), *NOISE_STEP))  # 4 unknowns
     # the sandwich estimate of the covariance, with the scatter of the passes' gradients in the middle
     scatter = gradients.T @ gradients * len(passes) / (len(passes) - 1) + np.diag(prior**-2.0)
     robust = covariance @ scatter @ covariance
@@ -458,15 +463,17 @@ def _gyro_by_rates(
 
 
 def gyro_keys(gyro: Gyro, fit: GyroFit) -> list[Key]:
-    """Return the keys of a gyro by its fit: rate = scale_rad_s (column - zero).
+    """Return the keys of a gyro by its fit: rate = scale_rad_s (column - zero), with the sign of each column.
 
-    As the reading is `scale` rate + zero, the new scale is the stated one over that of the fit.
+    The reading by the file, stated scale_rad_s (column - stated zero), is fitted as scale rate + zero. So the new scale_rad_s is
+    the stated one / scale, and the fitted zero / stated scale_rad_s is added to the stated zero.
     """
     scale, size = fit.values[3], abs(gyro.scale_rad_s)
     zero = gyro.zero + gyro.sign * fit.values[:3] / gyro.scale_rad_s
     of_zero = (gyro.zero, zero, fit.sigma[:3] / size, fit.prior[:3] / size)
-    stated, by_scale = np.array([gyro.scale_rad_s]), size / scale**2
-    of_scale = (stated, stated / scale, fit.sigma[3:] * by_scale, fit.prior[3:] * by_scale)
+    # a change d of the fitted scale changes stated / scale by stated / scale^2 d
+    stated, slope = np.array([gyro.scale_rad_s]), size / scale**2
+    of_scale = (stated, stated / scale, fit.sigma[3:] * slope, fit.prior[3:] * slope)
     return [
         Key(("gyro",), "zero", *of_zero, "reading", fit.samples),
         Key(("gyro",), "scale_rad_s", *of_scale, "rad/s", fit.samples),
@@ -483,14 +490,14 @@ def _dataset(
     notes: list[str],
     attrs: dict[str, Any],
 ) -> xr.Dataset:
-    """Return the result: a row for each component of each key, in the order of :data:`VARIABLES`, and whether it moved."""
-    rows: list[tuple[Any, ...]] = []
+    """Return the result: an entry for each component of each key, with the variables :data:`VARIABLES` and `moved`."""
+    rows: list[tuple[Any, ...]] = []  # in the order of VARIABLES
     for key in keys:
         determined, name = key.determined, ".".join((*key.where, key.key))
         written = bool(determined.all()) if key.written is None else key.written
         numbers = zip(key.stated, key.value, key.sigma, key.prior, determined, strict=True)
-        for component, (*of_file, is_determined) in enumerate(numbers):
-            row = (*of_file, key.unit, name, component, is_determined, written, key.samples)
+        for component, (*four_numbers, is_determined) in enumerate(numbers):
+            row = (*four_numbers, key.unit, name, component, is_determined, written, key.samples)
             rows.append(row)
     columns = zip(*rows, strict=True) if rows else [()] * len(VARIABLES)
     values = {name: np.array(part) for name, part in zip(VARIABLES, columns, strict=True)}

@@ -1,11 +1,11 @@
-"""Other columns, axes and signs for a pass that may not be as the vehicle file has them.
+"""Tests of other columns, axes and signs on a pass for which the vehicle file may state wrong ones.
 
 One list of changes is tried: two panels' columns exchanged, a panel or a wheel reversed, a second sensor's axes permuted or
 reversed, a quaternion read the other way. A change is named only if the pass fits with it, and better by :data:`CLEARLY` in log
-evidence. Mostly the file as it is written does not fit. A file of panels alone that fits is tested in three cases
-(:mod:`sunspin.estimate.columns`): its samples, each by itself, fit other columns far better, or as well; or reversed wheels fit
-better. Changes that look the same in the telemetry (:mod:`sunspin.estimate.equivalence`) are named together, each with its motion,
-and none is recommended.
+evidence. :mod:`sunspin.estimate.columns` says which passes are tested: those that do not fit, and some of a file of panels alone.
+
+Changes look the same (:mod:`sunspin.estimate.equivalence`) if a rotation or mirror M of the body maps the readings under one onto
+those under the other. No data distinguish them: they are named together, each with its rate, and none is recommended.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import permutations, product
+from string import ascii_lowercase
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -40,34 +41,32 @@ from sunspin.vehicle.response.planes import sphere
 from sunspin.vehicle.sensors import VARIABLES, Attitude
 
 MOST_SQUARE = 30.0
-"""Squared distance up to which a reading of a second sensor, or a sample of panels, counts against a change: some are spikes."""
+"""Largest square, in sigmas, that counts of a reading of a second sensor, or of a sample of panels: some are spikes."""
 
 SENSORS = {"gyro_B": "gyro", "field_B": "magnetometer", "attitude_B_from_N": "quaternion"}
 """Variable of the telemetry -> what a person calls it."""
 
-COMPONENTS = 3
-"""Degrees of freedom of a reading of a rate, of a field, or of a rotation from one attitude to the next."""
-
-TABLES = {variable: table for table, variable in VARIABLES.items()}
-"""Variable of the telemetry -> the sensor's table in the vehicle file."""
-
 DIRECTIONS, READING_ERROR = 3000, 0.06
-"""Directions of the Sun in which samples are compared with the panels, 3.5 degrees apart, and the error of a reading there, as a
+"""Number of Sun directions in which a sample is compared with the panels, 3.5 degrees apart, and the error of a reading there, as a
 share of full Sun: half of that distance, and gains."""
 
 BRIGHTEST = 1.15
 """Brightness of a sample, in full Suns, that panels may show at most. There is no lower limit, since a full battery dims samples:
 with one of 0.85 four right passes of skCUBE seemed to have a reversed panel, and of simulated exchanges no more were seen."""
 
+MOST_COMPARED = 60
+"""Largest number of samples that are compared with the panels each by itself; of more, every second, third or further one is."""
+
 WORTH_A_SEARCH = 30.0
-"""Log likelihood of the samples, each by itself, by which a change may be worse than the best and is still searched with: of 60
-files with two columns exchanged the right change was at most 0.8 from the best."""
+"""On a pass that does not fit, a change is searched with if the samples, each by itself, cost (minus log likelihood) at most this
+more than under the best change. Of 60 files with two columns exchanged the right change was at most 0.8 from the best."""
 
 AS_GOOD = 3.0
-"""The same for a pass that fits: of 60 files with exchanged columns the right change was at most 0.8 worse than the wrong one."""
+"""On a pass that fits, a change is searched with if the samples cost at most this more than under the file as it is written. Of 60
+files with exchanged columns the right change cost at most 0.8 more than the wrong file."""
 
 EXCHANGED = 0.01
-"""Share of files whose columns are exchanged: a supposition before the data."""
+"""Prior probability that the columns of a file are exchanged; supposed."""
 
 AS_PROBABLE = float(np.log((1 - DECIDED) / DECIDED * (1 - EXCHANGED) / EXCHANGED))
 """Log evidence (2.4) by which a change of columns must be better than the file to have one in ten of the probability. Then a pass
@@ -77,9 +76,6 @@ EXCLUDED = float(np.log(99.0))
 """Log evidence (4.6) by which a change must be worse than the file to be excluded at 1 in 100, if both are equally probable before
 the data."""
 
-MOST_COMPARED = 60
-"""Samples that are compared so, evenly chosen."""
-
 MOST_RUNS = 3
 """Changes that are estimated in full, at most."""
 
@@ -87,22 +83,22 @@ MOST_NAMED = 6
 """Changes that are named, at most; of others the number is given."""
 
 
-class Named(NamedTuple):
-    """A change that fits, with the rate (3) in rad/s that it gives, if that is known."""
+class ChangeWithRate(NamedTuple):
+    """A change of the file that fits, and the body rate `omega` (3) in rad/s under it; None if that was not estimated."""
 
     change: ColumnChange
     omega: np.ndarray | None = None
 
 
 @dataclass(frozen=True)
-class Better:
-    """The changes that fit better than the file as it is written, all those that the telemetry cannot distinguish.
+class BetterChanges:
+    """Changes that fit better than the file as it is written, and that the telemetry cannot distinguish from each other.
 
-    `gain`: by how much their log evidence is better; `at_s`: the time of their rates; `fits`: whether they fit, or only fit better;
-    `cost`: of the best motion with the best of them.
+    `gain`: log evidence by which they are better; `at_s`: time of their rates; `fits`: whether the pass fits with them, or only
+    better than as written; `cost`: minus log posterior of the best solution with the first of them.
     """
 
-    named: tuple[Named, ...]
+    changes: tuple[ChangeWithRate, ...]
     gain: float
     at_s: float = np.nan
     fits: bool = True
@@ -115,51 +111,52 @@ class Better:
         """
         better = f"the data fit {'' if self.fits else 'better '}with"
         gain = f"(log evidence better by {self.gain:.0f})"
-        if len(self.named) == 1:
-            change = self.named[0].change
+        if len(self.changes) == 1:
+            change = self.changes[0].change
             do = f"; if it is so, {change.do}" if change.do else ""
             signs = change.reversed_wheels and not change.columns
             check = "CHECK THE SIGNS" if signs else "CHECK THE COLUMNS"
             return f"{better} {change.what} {gain}: {check}{do}"
         shown = [
-            f"({chr(97 + k)}) {_line(named)}" for k, named in enumerate(self.named[:MOST_NAMED])
+            f"({letter}) {_change_words(*change)}"
+            for letter, change in zip(ascii_lowercase, self.changes[:MOST_NAMED], strict=False)
         ]
-        more = len(self.named) - len(shown)
-        others = [f"and {more} other changes"] if more else []
+        unshown = len(self.changes) - len(shown)
+        others = [f"and {unshown} other changes"] if unshown else []
         at = f"; rates at {clock(self.at_s)}" if np.isfinite(self.at_s) else ""
         first = (
-            f"{better} each of {len(self.named)} changes, and this telemetry cannot tell which is right {gain}: "
+            f"{better} each of {len(self.changes)} changes, and this telemetry cannot tell which is right {gain}: "
             f"CHECK THE COLUMNS, find out which one is right before you change the file{at}:"
         )
         return "\n".join([first, *shown, *others])
 
 
-def _line(named: Named) -> str:
-    """Return a change that is named among several in words, with the rate that it gives."""
-    do = f" ({named.change.do})" if named.change.axes or named.change.reversed_wheels else ""
-    if named.omega is None:
-        return f"{named.change.what}{do}"
-    rate = ", ".join(f"{value:z.2f}" for value in np.degrees(named.omega))
-    return f"{named.change.what}{do}: omega ({rate}) deg/s"
+def _change_words(change: ColumnChange, omega: np.ndarray | None) -> str:
+    """Return in words one change of several, with the rate `omega` (3) in rad/s under it."""
+    do = f" ({change.do})" if change.axes or change.reversed_wheels else ""
+    if omega is None:
+        return f"{change.what}{do}"
+    rate = ", ".join(f"{value:z.2f}" for value in np.degrees(omega))
+    return f"{change.what}{do}: omega ({rate}) deg/s"
 
 
-def rival_words(rival: Better, clock: Callable[[float], str]) -> str:
-    """Return a change that the data do not exclude in words, with its rate; `clock` as of :meth:`Better.words`."""
+def rival_words(rival: BetterChanges, clock: Callable[[float], str]) -> str:
+    """Return in words a change that the data do not exclude, with its rate; `clock` as of :meth:`BetterChanges.words`."""
     side = "higher" if rival.gain > 0 else "lower"
-    count = len(rival.named) - 1
-    more = f", and with {count} more that look the same" if count else ""
-    return f"with {_line(rival.named[0])} at {clock(rival.at_s)} (log evidence {side} by {abs(rival.gain):.1f}{more})"
+    count = len(rival.changes) - 1
+    same = f", and with {count} more that look the same" if count else ""
+    gain = f"(log evidence {side} by {abs(rival.gain):.1f}{same})"
+    return f"with {_change_words(*rival.changes[0])} at {clock(rival.at_s)} {gain}"
 
 
 @dataclass(frozen=True)
-class Culprit:
-    """The sensor without which the others agree, and that no other columns or axes of it explain."""
+class ContradictingSensor:
+    """A `sensor` that contradicts the motion of all others under any change of columns or axes that was tried."""
 
     sensor: str
 
-    def words(self, clock: Callable[[float], str] | None = None) -> str:
-        """Return a sentence for the verdict; no time is in it."""
-        del clock
+    def words(self) -> str:
+        """Return a sentence for the verdict."""
         option = "attitude" if self.sensor == "quaternion" else self.sensor
         return (
             f"without the {self.sensor} the other readings fit: look at its zero, scale, columns and clock (`--without {option}` "
@@ -168,24 +165,41 @@ class Culprit:
 
 
 @dataclass(frozen=True)
-class Trials:
-    """How changes are judged: `evidence` by a quick search, `run` by the whole estimate, None without a result; the `budget`."""
+class Estimators:
+    """Functions that estimate a pass under a changed vehicle file, and the computing budget that they share.
+
+    `evidence`: log evidence by a quick search; `estimate`: the whole estimate, None if it is not possible.
+    """
 
     evidence: Callable[[Vehicle, xr.Dataset], float]
-    run: Callable[[Vehicle, xr.Dataset], xr.Dataset | None]
+    estimate: Callable[[Vehicle, xr.Dataset], xr.Dataset | None]
     budget: Budget
 
-    def fitting(self, vehicle: Vehicle, telemetry: xr.Dataset) -> xr.Dataset | None:
-        """Return the estimate, if it fits."""
-        result = self.run(vehicle, telemetry)
+    def estimate_if_fits(self, vehicle: Vehicle, telemetry: xr.Dataset) -> xr.Dataset | None:
+        """Return the result of the whole estimate; None if it is not possible or the pass does not fit."""
+        result = self.estimate(vehicle, telemetry)
         return result if result is not None and bool(result["fits"].values.all()) else None
+
+    def quick_gains(
+        self, vehicle: Vehicle, telemetry: xr.Dataset, changes: Sequence[ColumnChange], base: float
+    ) -> np.ndarray:
+        """Return the log evidence (m) of each change by a quick search, less that of the file as it is written (`base`).
+
+        Changes that are left out when the budget is used up get -inf.
+        """
+        gains = np.full(len(changes), -np.inf)
+        for k, change in enumerate(changes):
+            if self.budget.exhausted():
+                break
+            gains[k] = self.evidence(*change.applied(vehicle, telemetry)) - base
+        return gains
 
 
 @dataclass(frozen=True)
-class CostsOfSamples:
-    """Minus the log likelihood of the samples of a pass, each by itself, `as_written` and under each of some `changes` of columns.
+class SampleCosts:
+    """Costs of the samples of a pass, each by itself (:func:`sample_costs`): `as_written`, and under each of some changes.
 
-    `of_changes` (m): as :func:`sample_costs` computes them.
+    `changes` (m): of columns and panels; `of_changes` (m): the cost under each.
     """
 
     as_written: float
@@ -193,187 +207,202 @@ class CostsOfSamples:
     of_changes: np.ndarray
 
     @classmethod
-    def of(cls, vehicle: Vehicle, telemetry: xr.Dataset) -> CostsOfSamples:
+    def of(cls, vehicle: Vehicle, telemetry: xr.Dataset) -> SampleCosts:
         """Return the costs of the samples of a pass under the file as it is written and all changes of its columns."""
         changes = column_changes(vehicle, telemetry)
         as_written, *of_changes = sample_costs(vehicle, telemetry, [AS_WRITTEN, *changes])
         return cls(float(as_written), changes, np.array(of_changes))
 
-    def deny_the_columns(self) -> bool:
+    def contradict_the_columns(self) -> bool:
         """Return whether some change of columns fits the samples far better than the file as it is written."""
         return bool(self.as_written > self.of_changes.min(initial=np.inf) + WORTH_A_SEARCH)
 
 
 def what_fits_better(
-    observed: Observed, telemetry: xr.Dataset, trials: Trials
-) -> Better | Culprit | None:
-    """Return changes with which a pass fits that does not fit as written; else the sensor that contradicts the others; else None.
+    observed: Observed, telemetry: xr.Dataset, estimators: Estimators
+) -> BetterChanges | ContradictingSensor | None:
+    """Return the changes with which a pass fits that does not fit as written; else the sensor that contradicts the others.
 
-    If the pass fits without one of the sensors, the cause is that sensor, or what only that sensor can see: first other axes of any
-    such sensor are tried, then exchanged columns. The sensor itself is named only if it contradicts the motion of the others. If
-    leaving out one sensor does not help, columns of panels and wheels are tried.
+    None if neither is known. If the pass fits without one of the sensors, the cause is that sensor, or what only that sensor can
+    see: other axes of the sensor are tried, then exchanged columns. The sensor itself is named only if it contradicts the motion of
+    the others. If leaving out one sensor does not help, columns of panels and wheels are tried.
     """
-    first_cause: Better | Culprit | None = None
+    first_cause: BetterChanges | ContradictingSensor | None = None
     fits_without_one = False
     for name in SENSORS:
         if name not in telemetry or not np.isfinite(telemetry[name].values).any():
             continue
-        if trials.budget.exhausted():
+        if estimators.budget.exhausted():
             break
-        estimate = trials.fitting(observed.vehicle, telemetry.drop_vars(name))
-        if estimate is None:
+        without = estimators.estimate_if_fits(observed.vehicle, telemetry.drop_vars(name))
+        if without is None:
             continue
         fits_without_one = True
-        better = _other_axes(observed, telemetry, name, estimate, trials)
+        # other axes of any sensor count before exchanged columns or a contradicting sensor
+        better = _other_axes(observed, telemetry, name, without, estimators)
         if better is not None:
             return better
         if first_cause is None:
-            first_cause = _exchanged_by_sensor(observed, telemetry, name, estimate, trials)
-        if first_cause is None and _contradicts(observed.vehicle, telemetry, name, estimate):
-            first_cause = Culprit(SENSORS[name])
-    # where the others are too coarse to contradict a sensor, their columns are not what keeps the pass from fitting
+            first_cause = _exchanged_by_sensor(observed, telemetry, name, without, estimators)
+        if first_cause is None and _contradicts(observed.vehicle, telemetry, name, without):
+            first_cause = ContradictingSensor(SENSORS[name])
+    # if the others are too coarse to contradict a sensor, their columns are not what keeps the pass from fitting
     if fits_without_one or not observed.panels:
         return first_cause
-    return _other_panels(observed, telemetry, trials)
+    return _other_panels(observed, telemetry, estimators)
 
 
 # ------------------------------------------------------------------------------------------------------ columns of panels, wheels
 
 
-def _other_panels(observed: Observed, telemetry: xr.Dataset, trials: Trials) -> Better | None:
-    """Return changes of columns, panels and wheels that fit.
+def _other_panels(
+    observed: Observed, telemetry: xr.Dataset, estimators: Estimators
+) -> BetterChanges | None:
+    """Return the changes of columns, panels and wheels with which a pass fits best; None if it fits with none.
 
-    The samples, each by itself, exclude most changes without a search. First those of one mistake are tried, then a mistake of the
+    The samples, each by itself, exclude most changes without a search. First changes of one mistake are tried, then exchanged
     columns together with reversed wheels.
     """
     vehicle = observed.vehicle
-    evidence_as_written = trials.evidence(vehicle, telemetry)
+    evidence_as_written = estimators.evidence(vehicle, telemetry)
     if not np.isfinite(evidence_as_written):
         return None
     wheels = wheel_changes(vehicle) if len(observed.momenta) else []
     changes = [AS_WRITTEN, *column_changes(vehicle, telemetry), *wheels]
-    cost = sample_costs(vehicle, telemetry, changes)
-    # number 0 is the file as it is written; the others, the best first, that are not far worse than the best of them
-    order = np.argsort(cost, kind="stable")
-    allowed = [int(k) for k in order if k and cost[k] <= cost[1:].min() + WORTH_A_SEARCH]
-    of_one_mistake = [(changes[k], float(cost[k])) for k in allowed]
+    costs = sample_costs(vehicle, telemetry, changes)
+    # the best first, those that are not far worse than the best; number 0 is the file as it is written
+    order = np.argsort(costs, kind="stable")
+    allowed = [int(k) for k in order if k and costs[k] <= costs[1:].min() + WORTH_A_SEARCH]
+    of_one_mistake = [(changes[k], float(costs[k])) for k in allowed]
     names = [wheel.name for wheel in vehicle.wheels]
+    # the samples, each by itself, do not see the wheels: the cost stays
     of_two_mistakes = [
-        (change.with_wheels(wheel.reversed_wheels, names), cost_of_samples)
-        for change, cost_of_samples in of_one_mistake
+        (change.with_wheels(wheel.reversed_wheels, names), cost)
+        for change, cost in of_one_mistake
         if change.columns
         for wheel in wheels
     ]
-    as_written = float(cost[0]), evidence_as_written
     for candidates in (of_one_mistake, of_two_mistakes):
-        better = _best_of_distinct(observed, telemetry, candidates, as_written, trials)
+        better = _best_of_candidates(
+            observed, telemetry, candidates, float(costs[0]), evidence_as_written, estimators
+        )
         if better is not None:
             return better
     return None
 
 
-def _best_of_distinct(
+def _best_of_candidates(
     observed: Observed,
     telemetry: xr.Dataset,
     candidates: Sequence[tuple[ColumnChange, float]],
-    as_written: tuple[float, float],
-    trials: Trials,
-) -> Better | None:
-    """Return the candidate that fits best, with all that look the same in the telemetry; None if none fits.
+    cost_as_written: float,
+    evidence_as_written: float,
+    estimators: Estimators,
+) -> BetterChanges | None:
+    """Return the candidates with which the pass fits best, with all that look the same as these; None if it fits with none.
 
-    `candidates`: changes, each with its cost by :func:`sample_costs`; `as_written`: cost and log evidence of the file as it is
-    written. Of changes that look the same one is tried, and none that looks the same as the file
-    (:func:`_best_of_classes` says how).
+    `candidates`: changes, each with its cost by :func:`sample_costs`. `cost_as_written`, `evidence_as_written`: the same cost, and
+    the log evidence by a quick search, of the file as it is written.
     """
-    cost_as_written, evidence_as_written = as_written
-    # one change of each class that looks the same, the file as it is written first
+    # Of candidates that look the same one is searched with, and none that looks the same as the file. What looks the same costs
+    # about the same, as its panels show the same: changes whose costs differ by CLEARLY need not be compared.
     distinct = [(AS_WRITTEN, cost_as_written)]
     for change, cost in candidates:
-        # What looks the same costs about the same, as its panels show the same: changes whose costs differ by CLEARLY need not be
-        # compared.
-        of_same_cost = (other for other, of_other in distinct if abs(cost - of_other) < CLEARLY)
-        if not any(len(equivalence(observed, other, change)) for other in of_same_cost):
+        of_same_cost = (earlier for earlier, its_cost in distinct if abs(cost - its_cost) < CLEARLY)
+        if not any(len(equivalence(observed, earlier, change)) for earlier in of_same_cost):
             distinct.append((change, cost))
-    classes = [change for change, _ in distinct[1:]]
-    others = [change for change, _ in candidates]
-    return _best_of_classes(observed, telemetry, classes, others, trials, evidence_as_written)
+    searched = [change for change, _ in distinct[1:]]
+    gains = estimators.quick_gains(observed.vehicle, telemetry, searched, evidence_as_written)
+    ranked = [int(k) for k in np.argsort(-gains, kind="stable") if gains[k] > CLEARLY]
+
+    # the best are estimated in full
+    fitting: list[ChangeWithRate] = []
+    best, at_s = -np.inf, np.nan
+    for k in ranked[:MOST_RUNS]:
+        if gains[k] < best - CLEARLY:  # clearly worse than one that fits
+            break
+        result = estimators.estimate_if_fits(*searched[k].applied(observed.vehicle, telemetry))
+        if result is not None:
+            best, at_s = max(best, float(gains[k])), rate_at_mid_time(result)[1]
+            others = [change for change, _ in candidates]
+            fitting += with_equivalents(observed, searched[k], result, others)
+    return BetterChanges(tuple(fitting), best, at_s) if fitting else None
 
 
 def rival_exchanges(
     observed: Observed,
     telemetry: xr.Dataset,
-    costs: CostsOfSamples,
+    costs: SampleCosts,
     noise: np.ndarray | float,
-    trials: Trials,
+    estimators: Estimators,
     as_written: float | None,
-) -> list[Better]:
+) -> list[BetterChanges]:
     """Return changes of columns that the samples allow and that fit a pass about as well as the file, the most probable first.
 
     The samples, each by itself, cannot tell such columns apart, but a motion can. Both then explain all readings well, and only
     their evidence says which is right. A satellite with three lit panels was decided along a motion 74 sigma off that two exchanged
-    columns made up; with the right ones the log evidence was better by 24. `observed`: with the Sun's directions of the estimated
-    motion; `costs`: of the samples of the pass; `noise`: of the readings; `as_written`: the log evidence of the file as it is
-    written by the whole estimate, None if it is to be estimated. Changes that are excluded (:data:`EXCLUDED`) by a quick search are
-    not estimated.
+    columns made up; with the right ones the log evidence was better by 24. Changes that a quick search excludes (:data:`EXCLUDED`)
+    are not estimated. `observed.sun_B`: Sun directions of the estimated motion. `costs`: of the samples of the pass. `noise`: one
+    sigma of the panel readings, of each input (n_input) or of all. `as_written`: log evidence of the file as it is written by the
+    whole estimate, None if it is to be estimated.
     """
-    dark, rivals = _changes_to_compare(observed, telemetry, costs, noise)
-    if not (dark or rivals):
+    dark, lit = _changes_to_compare(observed, telemetry, costs, noise)
+    if not (dark or lit):
         return []
-    # `equivalence` asks lit columns only, so it calls all exchanges of dark ones alike; hence none are named as equivalents
-    candidates = [(change, []) for change in dark] + [(change, costs.changes) for change in rivals]
+    # Each change with those that may look the same and then are named with it. `equivalence` compares lit columns only: it would
+    # call all exchanges of dark ones the same.
+    candidates = [(change, []) for change in dark] + [(change, costs.changes) for change in lit]
     vehicle = observed.vehicle
-    quick_as_written = trials.evidence(vehicle, telemetry)
+    quick_as_written = estimators.evidence(vehicle, telemetry)
     if not np.isfinite(quick_as_written):
         return []
-    quick = np.full(len(candidates), -np.inf)
-    for k, (change, _) in enumerate(candidates):
-        if trials.budget.exhausted():
-            break
-        quick[k] = trials.evidence(*change.applied(vehicle, telemetry)) - quick_as_written
-    near = [int(k) for k in np.argsort(-quick, kind="stable") if quick[k] > -EXCLUDED]
+    changes = [change for change, _ in candidates]
+    gains = estimators.quick_gains(vehicle, telemetry, changes, quick_as_written)
+    near = [int(k) for k in np.argsort(-gains, kind="stable") if gains[k] > -EXCLUDED]
     # A quick search holds inertia and gains. The evidence of a whole estimate tells more: of two files with exchanged columns the
     # right ones were better by 0.3 and 2.3 in a quick search, and by 2.6 and 4.6 in whole estimates.
     if not near:
         return []
     if as_written is None:
-        estimate = trials.fitting(vehicle, telemetry)
-        if estimate is None:
+        result = estimators.estimate_if_fits(vehicle, telemetry)
+        if result is None:
             return []
-        as_written = float(estimate.attrs["log_evidence"][0])
-    compared = []
+        as_written = float(result.attrs["log_evidence"][0])
+    rivals = []
     for k in near[:MOST_RUNS]:
         change, others = candidates[k]
-        result = trials.fitting(*change.applied(vehicle, telemetry))
+        result = estimators.estimate_if_fits(*change.applied(vehicle, telemetry))
         if result is not None:
             gain = float(result.attrs["log_evidence"][0]) - as_written
-            named = tuple(with_equivalents(observed, change, result, others))
-            at_s, cost = rate_in_the_middle(result)[1], float(result["cost"].values[0, 0])
-            compared.append(Better(named, gain, at_s, cost=cost))
-    return sorted(compared, key=lambda better: -better.gain)
+            same = tuple(with_equivalents(observed, change, result, others))
+            at_s, cost = rate_at_mid_time(result)[1], float(result["cost"].values[0, 0])
+            rivals.append(BetterChanges(same, gain, at_s, cost=cost))
+    return sorted(rivals, key=lambda rival: -rival.gain)
 
 
 def _changes_to_compare(
-    observed: Observed, telemetry: xr.Dataset, costs: CostsOfSamples, noise: np.ndarray | float
+    observed: Observed, telemetry: xr.Dataset, costs: SampleCosts, noise: np.ndarray | float
 ) -> tuple[list[ColumnChange], list[ColumnChange]]:
-    """Return the changes that the samples of a pass allow and a motion may tell from the file: of dark columns, and of others.
+    """Return the changes that the samples of a pass allow and its motion may exclude: exchanges of two dark columns, and others.
 
-    Arguments are those of :func:`rival_exchanges`. Exchanges of dark columns that change nothing are left out.
+    Arguments are those of :func:`rival_exchanges`. Changes that the estimated motion cannot distinguish from the file are left out.
     """
-    vehicle, changes = observed.vehicle, costs.changes
-    allowed = costs.of_changes <= costs.as_written + AS_GOOD
-    # a change that gives the same readings as reversed wheels was tested with the signs of the wheels
+    vehicle = observed.vehicle
+    # a change that looks the same as reversed wheels was tested with the signs of the wheels
     tested = [AS_WRITTEN, *(wheel_changes(vehicle) if len(observed.momenta) else [])]
+    # light on each input along the estimated motion, and its readings (n, n_input), in sigmas
     light = vehicle.response_in().power(observed.sun_B) / noise
     read = np.nan_to_num(signals(telemetry)) / noise
 
-    # An exchange of two dark columns counts if the estimated motion would light them differently, or if their readings differ: a
-    # glint of 6 % of full Sun in the wrong column moved a rate by 5.6 sigma. Any other leaves readings and motion as they are.
-    dark, rivals = [], []
-    for change, is_allowed in zip(changes, allowed, strict=True):
-        if not is_allowed:
-            continue
+    with_costs = zip(costs.changes, costs.of_changes, strict=True)
+    allowed = [change for change, cost in with_costs if cost <= costs.as_written + AS_GOOD]
+    dark, lit = [], []
+    for change in allowed:
+        # inputs that read another column: none if a panel is reversed
         moved = np.flatnonzero(np.asarray(change.columns) != np.arange(len(change.columns)))
         if len(moved) == 2 and not observed.lit[moved].any():
+            # An exchange of two dark columns counts if the estimated motion would light them differently, or if their readings
+            # differ: a glint of 6 % of full Sun in the wrong column moved a rate by 5.6 sigma. Any other changes nothing.
             differ = max(
                 (np.diff(of_samples[:, moved], axis=1) ** 2).sum() / 2
                 for of_samples in (light, read)
@@ -381,103 +410,75 @@ def _changes_to_compare(
             if differ > CLEARLY:
                 dark.append(change)
         elif not any(len(equivalence(observed, other, change)) for other in tested):
-            rivals.append(change)
-    # a panel without a signal is left out: evidences are compared only if as many panels, of the same gains, are
-    silent = gains_of_silent(vehicle, telemetry, AS_WRITTEN) if dark or rivals else []
-    dark, rivals = (
-        [change for change in group if gains_of_silent(vehicle, telemetry, change) == silent]
-        for group in (dark, rivals)
+            lit.append(change)
+    if not (dark or lit):
+        return dark, lit
+    # evidences are compared only if as many panels, of the same gains, are left out for want of a signal
+    silent = gains_of_silent_inputs(vehicle, telemetry, AS_WRITTEN)
+    dark, lit = (
+        [c for c in group if gains_of_silent_inputs(vehicle, telemetry, c) == silent]
+        for group in (dark, lit)
     )
-    return dark, rivals
+    return dark, lit
 
 
-def gains_of_silent(vehicle: Vehicle, telemetry: xr.Dataset, change: ColumnChange) -> list[float]:
+def gains_of_silent_inputs(
+    vehicle: Vehicle, telemetry: xr.Dataset, change: ColumnChange
+) -> list[float]:
     """Return the sorted gains of the inputs that are left out under a change, since their panels never show a signal."""
-    return sorted(
-        vehicle.input_gains[silent_inputs(assess(*change.applied(vehicle, telemetry)))].tolist()
-    )
+    silent = silent_inputs(assess(*change.applied(vehicle, telemetry)))
+    return sorted(vehicle.input_gains[silent].tolist())
 
 
 def silent_inputs(assessment: Assessment) -> np.ndarray:
-    """Return which inputs (n_input) count in no sample: they are dead, or never show a signal."""
+    """Return which inputs (n_input) have no usable reading in any sample: they are dead, or never show a signal."""
     quality = assessment.quality
     return ~(quality["reading"].values & ~quality["dead"].values).any(axis=0)
 
 
-def _best_of_classes(
-    observed: Observed,
-    telemetry: xr.Dataset,
-    classes: Sequence[ColumnChange],
-    others: Sequence[ColumnChange],
-    trials: Trials,
-    evidence_as_written: float,
-) -> Better | None:
-    """Return the best of some changes, one of each class, with those of the `others` that look the same; None if none fits.
-
-    `evidence_as_written`: log evidence of the file as it is written.
-    """
-    gains = np.full(len(classes), -np.inf)
-    for k, change in enumerate(classes):
-        if trials.budget.exhausted():
-            break
-        changed = change.applied(observed.vehicle, telemetry)
-        gains[k] = trials.evidence(*changed) - evidence_as_written
-    ranked = [int(k) for k in np.argsort(-gains, kind="stable") if gains[k] > CLEARLY]
-
-    named: list[Named] = []
-    best, at_s = -np.inf, np.nan
-    for k in ranked[:MOST_RUNS]:
-        if gains[k] < best - CLEARLY:  # clearly worse than one that fits
-            break
-        result = trials.fitting(*classes[k].applied(observed.vehicle, telemetry))
-        if result is not None:
-            best, at_s = max(best, float(gains[k])), rate_in_the_middle(result)[1]
-            named += with_equivalents(observed, classes[k], result, others)
-    return Better(tuple(named), best, at_s) if named else None
-
-
 def with_equivalents(
     observed: Observed, change: ColumnChange, result: xr.Dataset, others: Sequence[ColumnChange]
-) -> list[Named]:
-    """Return a change and those of the others that look the same, with their rates; `result`: the estimate with the change."""
-    omega, _ = rate_in_the_middle(result)
+) -> list[ChangeWithRate]:
+    """Return a change and those of the `others` that look the same, with their rates; `result`: the estimate under the change."""
+    omega, _ = rate_at_mid_time(result)
     along = replace(observed, sun_B=np.nan_to_num(result["sun_B"].values))
     same = alike(along, change, [other for other in others if other.what != change.what])
     return [
-        Named(change, omega),
-        *(Named(equivalent, rate_under(m, omega)) for equivalent, m in same),
+        ChangeWithRate(change, omega),
+        *(ChangeWithRate(equivalent, rate_under(matrix, omega)) for equivalent, matrix in same),
     ]
 
 
-def rate_in_the_middle(result: xr.Dataset) -> tuple[np.ndarray, float]:
-    """Return the rate (3) in rad/s at the sample nearest to the middle of a result, and its time in s."""
+def rate_at_mid_time(result: xr.Dataset) -> tuple[np.ndarray, float]:
+    """Return the body rate (3) in rad/s at the sample nearest to the middle of a result, and the time of that sample in s."""
     t = result["time"].values
-    at = int(np.argmin(np.abs(t - (t[0] + t[-1]) / 2)))
-    return result["omega_B"].values[at], float(t[at])
+    middle = int(np.argmin(np.abs(t - (t[0] + t[-1]) / 2)))
+    return result["omega_B"].values[middle], float(t[middle])
 
 
 def sample_costs(
     vehicle: Vehicle, telemetry: xr.Dataset, changes: Sequence[ColumnChange]
 ) -> np.ndarray:
-    """Return what the samples cost under each change (m): minus their log likelihood, each in its own best direction of the Sun.
+    """Return the cost (m) of the samples under each change: minus their log likelihood, each in its own best direction of the Sun.
 
-    The square of a sample is the least |read - brightness light|^2 over directions, in which panels get `light`, and over a
-    brightness up to :data:`BRIGHTEST`. All are shares of full Sun, in units of `error`: :data:`READING_ERROR` and the noise of the
-    inputs. A square counts up to :data:`MOST_SQUARE`.
+    No motion is needed, so that many changes are compared in little time. The square of a sample is the least
+    |read - brightness light|^2 over all Sun directions, in which panels get `light`, and over a brightness of at most
+    :data:`BRIGHTEST`. All are shares of full Sun, in units of the error: :data:`READING_ERROR` and the noise of the inputs. A
+    square counts up to :data:`MOST_SQUARE`.
     """
     sun, gains = sphere(DIRECTIONS), vehicle.input_gains
     stride = -(-max(telemetry.sizes["time"], 1) // MOST_COMPARED)
     telemetry = telemetry.isel(time=slice(None, None, stride))
     noise = 0.0 if vehicle.input_noise is None else (vehicle.input_noise / gains).max()
     error = float(np.hypot(READING_ERROR, noise))
-    lit = (np.nan_to_num(signals(telemetry)) > error * gains.max()).any(axis=1)
+    sunlit = (np.nan_to_num(signals(telemetry)) > error * gains.max()).any(axis=1)
     squares = []
     for change in changes:
-        changed, data = change.applied(vehicle, telemetry.isel(time=lit))
-        read = np.nan_to_num(signals(data)) / gains  # (n, p)
-        light = changed.response_in().power(sun) / gains  # (d, p), of d directions
-        # The square is a^2 - 2 b c + b^2 e, with a = |read|, the brightness b, c = read . light (n, d) and e = |light|^2 (d). It is
-        # least at b = c / e, if that is positive.
+        changed, data = change.applied(vehicle, telemetry.isel(time=sunlit))
+        read = np.nan_to_num(signals(data)) / gains  # (n, n_input)
+        light = changed.response_in().power(sun) / gains  # (directions, n_input)
+        # |read - b light|^2 = |read|^2 - 2 b (read . light) + b^2 |light|^2 is least at the brightness b = (read . light) /
+        # |light|^2, if that is positive: (n, directions)
         along, light_square = read @ light.T, np.maximum((light**2).sum(axis=1), 1e-12)
         read_square = (read**2).sum(axis=1)[:, None]
         best_brightness = np.maximum(along, 0.0) / light_square
@@ -503,87 +504,96 @@ def sample_costs(
 
 
 def signed_axes() -> Iterator[tuple[str, list[int], tuple[float, ...]]]:
-    """Yield the 48 ways to read three columns as axes: in words, with column and sign of each axis; the stated one first."""
+    """Yield the 48 ways to read three columns as axes: in words, column of each axis, sign of each axis.
+
+    The first keeps the order and the signs that the vehicle file states.
+    """
     for order in permutations(range(3)):
-        for sign in product((1.0, -1.0), repeat=3):
+        for signs in product((1.0, -1.0), repeat=3):
             axes = ", ".join(
-                f"{'-' if s < 0 else '+'}{'xyz'[k]}" for k, s in zip(order, sign, strict=True)
+                f"{'-' if sign < 0 else '+'}{'xyz'[k]}"
+                for k, sign in zip(order, signs, strict=True)
             )
-            yield f"read as ({axes}) of its columns", list(order), sign
+            yield f"read as ({axes}) of its columns", list(order), signs
 
 
-def axes_matrix(order: Sequence[int], sign: Sequence[float]) -> np.ndarray:
-    """Return the matrix (3, 3) that reads columns in this order and with these signs."""
-    return np.eye(3)[list(order)] * np.array(sign)[:, None]
+def axes_matrix(order: Sequence[int], signs: Sequence[float]) -> np.ndarray:
+    """Return the matrix (3, 3) that takes a reading of three columns to axes: axis k is the column `order[k]` times `signs[k]`."""
+    return np.eye(3)[list(order)] * np.array(signs)[:, None]
 
 
-def to_write(table: str, keys: Mapping[str, Any]) -> str:
-    """Return what to do, in words: the keys of a table of the vehicle file that say how a sensor is read, each as one line."""
+def advice_to_set(table: str, keys: Mapping[str, Any]) -> str:
+    """Return in words which keys to set in a table of the vehicle file, each as a line of it."""
     lines = []
     for key, value in keys.items():
-        # a value with its sigma is a table, `{value = ..., sigma = ...}`, that stays in one line
-        table_of_value = tomlkit.inline_table()
+        inline = tomlkit.inline_table()  # for a value with its sigma: {value = ..., sigma = ...}
         if isinstance(value, Mapping):
-            table_of_value.update(value)
-        written = table_of_value if isinstance(value, Mapping) else value
-        lines.append(tomlkit.dumps({key: written}).strip())
+            inline.update(value)
+        lines.append(tomlkit.dumps({key: inline or value}).strip())
     return f"set {' and '.join(lines)} under [{table}] of the vehicle file"
 
 
 def changes_of_sensor(vehicle: Vehicle, name: str) -> list[ColumnChange]:
-    """Return the 48 signed permutations of a sensor's axes, or the four readings of a quaternion; the stated one first."""
-    table = TABLES[name]
-    part = vehicle.sensors.with_columns[table]
-    # ways to read the columns: in words, the matrix by which values are multiplied, and keys of the vehicle file
-    if isinstance(part, Attitude):
-        ways = list(_quaternion_conventions(part))
+    """Return the ways to read the sensor of the telemetry variable `name`, the one that the vehicle file states first.
+
+    They are the 48 signed permutations of its axes, or the four conventions of a quaternion.
+    """
+    table = next(table for table, variable in VARIABLES.items() if variable == name)
+    sensor = vehicle.sensors.with_columns[table]
+    # each way in words, with the matrix by which values are multiplied and the keys of the vehicle file
+    if isinstance(sensor, Attitude):
+        ways = list(_quaternion_conventions(sensor))
     else:
         ways = [
-            (what, axes_matrix(order, sign), part.keys_for_axes(order, sign))
-            for what, order, sign in signed_axes()
+            (what, axes_matrix(order, signs), sensor.keys_for_axes(order, signs))
+            for what, order, signs in signed_axes()
         ]
     return [
-        ColumnChange(f"the {SENSORS[name]} {what}", axes={name: matrix}, do=to_write(table, keys))
+        ColumnChange(
+            f"the {SENSORS[name]} {what}", axes={name: matrix}, do=advice_to_set(table, keys)
+        )
         for what, matrix, keys in ways
     ]
 
 
 def _quaternion_conventions(sensor: Attitude) -> Iterator[tuple[str, np.ndarray, dict[str, Any]]]:
-    """Yield ways to read quaternions: in words, the matrix (4, 4) by which they are multiplied, and keys of the vehicle file.
+    """Yield the conventions of a quaternion: in words, the matrix (4, 4) that takes stated values to others, and keys of the file.
 
-    The quaternions are those that the vehicle file gives: scalar last, B_from_N. The way of the file comes first.
+    Values are those that the vehicle file gives: scalar last, B_from_N. Its own convention comes first.
     """
-    other_end, round_about = "with its scalar at the other end", "read the other way round"
-    stated = sensor.interpret(np.eye(4)).values  # row k is what column k alone gives
+    other_end, other_way = "with its scalar at the other end", "read the other way round"
+    # row k is the quaternion of which only column k is not zero
+    stated = sensor.interpret(np.eye(4)).values
     for what, other_scalar, other_direction in (
         ("read as the file states", False, False),
-        (round_about, False, True),
+        (other_way, False, True),
         (other_end, True, False),
-        (f"{other_end} and {round_about}", True, True),
+        (f"{other_end} and {other_way}", True, True),
     ):
         keys = sensor.keys_for_convention(other_scalar, other_direction)
-        read = replace(sensor, **keys).interpret(np.eye(4)).values
-        yield what, read.T @ stated, keys
+        changed = replace(sensor, **keys).interpret(np.eye(4)).values
+        yield what, changed.T @ stated, keys
 
 
 def _other_axes(
-    observed: Observed, telemetry: xr.Dataset, name: str, estimate: xr.Dataset, trials: Trials
-) -> Better | None:
-    """Return other axes of the sensor `name` with which the pass fits, and exchanged columns that look the same; else None.
+    observed: Observed, telemetry: xr.Dataset, name: str, motion: xr.Dataset, estimators: Estimators
+) -> BetterChanges | None:
+    """Return other axes of a sensor with which the pass fits, and changes of columns that look the same; None if there are none.
 
-    `estimate`: the motion without that sensor. The readings are compared with it under each way to read the axes.
+    `name`: variable of the sensor; `motion`: the estimate without it. The sensor's readings, with each choice of axes, are
+    compared with that motion, and a whole estimate confirms the best.
     """
     vehicle = observed.vehicle
     changes = changes_of_sensor(vehicle, name)  # the first is what the file states
-    read = telemetry[name].sel(time=estimate["time"].values).values
+    read = telemetry[name].sel(time=motion["time"].values).values
     costs = np.array(
-        [_cost(estimate, read @ change.axes[name].T, name, vehicle) for change in changes]
+        [_sensor_cost(motion, read @ change.axes[name].T, name, vehicle) for change in changes]
     )
     best = int(np.argmin(costs))
     gain = float(costs[0] - costs[best])
     if not gain > CLEARLY:
         return None
-    result = trials.fitting(*changes[best].applied(vehicle, telemetry))
+    result = estimators.estimate_if_fits(*changes[best].applied(vehicle, telemetry))
     if result is None:
         return None
     # axes that fit as well, those nearest to the stated ones first: a component that stays small may have any sign
@@ -593,112 +603,126 @@ def _other_axes(
         if k != best and costs[0] - costs[k] > CLEARLY
     ]
     ties.sort(key=lambda k: -np.trace(changes[k].axes[name]))
-    omega, at_s = rate_in_the_middle(result)
+    omega, at_s = rate_at_mid_time(result)
     others = [*column_changes(vehicle, telemetry), *wheel_changes(vehicle)]
-    named = with_equivalents(observed, changes[best], result, others)
-    return Better((*named, *(Named(changes[k], omega) for k in ties)), gain, at_s)
+    same = with_equivalents(observed, changes[best], result, others)
+    return BetterChanges((*same, *(ChangeWithRate(changes[k], omega) for k in ties)), gain, at_s)
 
 
 def _exchanged_by_sensor(
-    observed: Observed, telemetry: xr.Dataset, name: str, estimate: xr.Dataset, trials: Trials
-) -> Better | None:
-    """Return changes of columns that only the sensor `name` can see, if it fits the motion as they show it.
+    observed: Observed, telemetry: xr.Dataset, name: str, motion: xr.Dataset, estimators: Estimators
+) -> BetterChanges | None:
+    """Return changes of panel columns that only one sensor can see, if the sensor fits the motion under them; else None.
 
-    `estimate`: without that sensor, whose readings contradict it. Without the sensor such a change looks the same as the
-    file as it is written, but for a rotation or mirror M of the body. So its motion is that of the file under M, and no further
-    search is needed to compare the sensor with it.
+    `name`: variable of the sensor; `motion`: the estimate without it, which its readings contradict. Without the sensor such a
+    change looks the same as the file, but for a rotation or mirror M of the body. So its motion is that of the file under M, and
+    the sensor is compared with it without a search.
     """
-    # imported late: `check`, which names the ways of a sensor, does not wait for it
+    # imported here, so that `sunspin check`, which needs only the names of the axes, starts sooner
     from scipy.spatial.transform import Rotation
 
     vehicle = observed.vehicle
-    sun = np.nan_to_num(estimate["sun_B"].values)
-    without = replace(observed, sensors=observed.sensors - {name}, sun_B=sun)
-    # the file as it is written first
+    observed_without = replace(
+        observed,
+        sensors=observed.sensors - {name},
+        sun_B=np.nan_to_num(motion["sun_B"].values),
+    )
+    # each change with its M (3, 3); the file as it is written first
     changes = [
         (AS_WRITTEN, np.eye(3)),
-        *alike(without, AS_WRITTEN, column_changes(vehicle, telemetry)),
+        *alike(observed_without, AS_WRITTEN, column_changes(vehicle, telemetry)),
     ]
-    read = telemetry[name].sel(time=estimate["time"].values).values
-    attitude = Rotation.from_quat(estimate["B_from_N"].values).as_matrix()
+    read = telemetry[name].sel(time=motion["time"].values).values
+    attitude = Rotation.from_quat(motion["B_from_N"].values).as_matrix()
     costs = np.zeros(len(changes))
     for k, (_, m) in enumerate(changes):
-        mapped = estimate.assign(
-            omega_B=(estimate["omega_B"].dims, rate_under(m, estimate["omega_B"].values)),
-            B_from_N=(
-                estimate["B_from_N"].dims,
-                Rotation.from_matrix(m @ attitude @ m.T).as_quat(),
-            ),
+        # the motion under the change; M on both sides keeps the attitude a rotation if M is a mirror
+        quaternion = Rotation.from_matrix(m @ attitude @ m.T).as_quat()
+        mapped = motion.assign(
+            omega_B=(motion["omega_B"].dims, rate_under(m, motion["omega_B"].values)),
+            B_from_N=(motion["B_from_N"].dims, quaternion),
         )
-        costs[k] = _cost(mapped, read, name, vehicle)
+        costs[k] = _sensor_cost(mapped, read, name, vehicle)
     best = int(np.argmin(costs))
     gain = float(costs[0] - costs[best])
     if not gain > CLEARLY:
         return None
     change, to_best = changes[best]
-    result = trials.fitting(*change.applied(vehicle, telemetry))
+    result = estimators.estimate_if_fits(*change.applied(vehicle, telemetry))
     if result is None:
         return None
-    omega, at_s = rate_in_the_middle(result)
+    omega, at_s = rate_at_mid_time(result)
     near = [int(k) for k in np.argsort(costs) if k and costs[k] < costs[best] + CLEARLY]
-    # the rate of the best change, mapped back to the file as it is written and on to each of the others
-    named = [Named(changes[k][0], rate_under(changes[k][1] @ to_best.T, omega)) for k in near]
-    return Better(tuple(named), gain, at_s)
+    # the rate under the best change, mapped back to the file as it is written and on to each of the others
+    fitting = [
+        ChangeWithRate(changes[k][0], rate_under(changes[k][1] @ to_best.T, omega)) for k in near
+    ]
+    return BetterChanges(tuple(fitting), gain, at_s)
 
 
-def _contradicts(vehicle: Vehicle, telemetry: xr.Dataset, name: str, estimate: xr.Dataset) -> bool:
-    """Return whether the readings of the sensor `name` exclude the motion `estimate` of the others, within the errors of both.
+def _contradicts(vehicle: Vehicle, telemetry: xr.Dataset, name: str, motion: xr.Dataset) -> bool:
+    """Return whether a sensor's readings exclude the motion that the others show, within the errors of both.
 
-    A pass may fit without a right sensor only because the others do not show what the model cannot follow. With a gyro a body that
-    was rotated by hand did not fit, as its rate jumped; its panels gave the rate to 3 deg/s, and all readings of the gyro agreed.
+    `name`: variable of the sensor; `motion`: the estimate without it. A pass may fit without a right sensor only because the
+    others do not show what the model cannot follow. With a gyro a body that was rotated by hand did not fit, as its rate jumped;
+    its panels gave the rate to 3 deg/s, and all readings of the gyro agreed.
     """
-    read = telemetry[name].sel(time=estimate["time"].values).values
-    squares = _squares(estimate, read, name, vehicle)
-    return not misfit(in_sigma(squares, COMPONENTS)).fits
+    read = telemetry[name].sel(time=motion["time"].values).values
+    squares = _sensor_squares(motion, read, name, vehicle)
+    # a rate, a field, or a rotation from one attitude to the next: three degrees of freedom
+    return not misfit(in_sigma(squares, 3)).fits
 
 
-def _cost(estimate: xr.Dataset, value: np.ndarray, name: str, vehicle: Vehicle) -> float:
-    """Return the cost of readings (n, 3 or 4) of a sensor along a motion: half the sum of squares of `MOST_SQUARE` at most."""
-    return float(np.minimum(_squares(estimate, value, name, vehicle), MOST_SQUARE).sum() / 2)
+def _sensor_cost(motion: xr.Dataset, read: np.ndarray, name: str, vehicle: Vehicle) -> float:
+    """Return minus the log likelihood of a sensor's readings along a motion: half of the squares, each at most `MOST_SQUARE`.
+
+    Arguments are those of :func:`_sensor_squares`.
+    """
+    squares = _sensor_squares(motion, read, name, vehicle)
+    return float(np.minimum(squares, MOST_SQUARE).sum() / 2)
 
 
-def _squares(estimate: xr.Dataset, value: np.ndarray, name: str, vehicle: Vehicle) -> np.ndarray:
-    """Return squared distances, in sigmas, of a sensor's readings from a motion: one for each known reading, components summed.
+def _sensor_squares(
+    motion: xr.Dataset, read: np.ndarray, name: str, vehicle: Vehicle
+) -> np.ndarray:
+    """Return squared differences, in sigmas, between a sensor's readings and a motion, their components summed.
 
-    `estimate`: of `rates`, at n samples; `value` (n, 3 or 4): readings of `name` there. Those of a field and of an attitude are
-    compared from one sample to the next of a pass, one number for each pair, as their frame in space is not known. The sigmas
-    contain the errors of the motion: of its rate, and of its rotation from sample to sample. Empty if the vehicle states no error
-    of the sensor.
+    `motion`: result of `rates` at n samples. `read` (n, 3, or 4 of a quaternion): readings of the variable `name` there, NaN if
+    there are none. A gyro has one square for each reading. Fields and attitudes are compared from one sample to the next of a pass,
+    as their frame in space is not known: one square for each pair. The sigmas contain the errors of the motion. Empty if the
+    vehicle states no error of the sensor.
     """
     from scipy.spatial.transform import Rotation
 
     sensors = vehicle.sensors
-    known = np.asarray(np.isfinite(value).all(axis=1))
-    inside = estimate["pass_of"].values[1:] == estimate["pass_of"].values[:-1]
-    pairs = inside & known[1:] & known[:-1]
-    rate_variance = np.einsum("nii->ni", estimate["omega_cov_B"].values)
+    known = np.asarray(np.isfinite(read).all(axis=1))
+    rate_variance = np.einsum("nii->ni", motion["omega_cov_B"].values)  # (n, 3): the diagonals
     if name == "gyro_B" and sensors.gyro is not None:
         gyro = sensors.gyro
         zero, scale = gyro.scale_rad_s * gyro.zero_sigma, gyro.scale_sigma / gyro.scale_rad_s
-        sensor_variance = gyro.noise_rad_s**2 + zero**2 + (value * scale) ** 2
-        square = (value - estimate["omega_B"].values) ** 2 / (rate_variance + sensor_variance)
+        sensor_variance = gyro.noise_rad_s**2 + zero**2 + (read * scale) ** 2
+        square = (read - motion["omega_B"].values) ** 2 / (rate_variance + sensor_variance)
         return square.sum(axis=1)[known]
-    attitude = Rotation.from_quat(estimate["B_from_N"].values)
-    interval_s = np.diff(estimate["time"].values)
+
+    same_pass = motion["pass_of"].values[1:] == motion["pass_of"].values[:-1]
+    pairs = same_pass & known[1:] & known[:-1]
+    attitude = Rotation.from_quat(motion["B_from_N"].values)
+    interval_s = np.diff(motion["time"].values)
     # variance of the rotation between two samples, rad^2
     turn_variance = rate_variance[:-1].sum(axis=1) * interval_s**2
     magnetometer = sensors.magnetometer
     if name == "field_B" and magnetometer is not None and magnetometer.noise is not None:
-        in_space = attitude.inv().apply(np.where(known[:, None], value, 0.0))
-        strength = np.linalg.norm(in_space[:-1], axis=1)
+        field_N = attitude.inv().apply(np.where(known[:, None], read, 0.0))
+        strength = np.linalg.norm(field_N[:-1], axis=1)
         # the field itself turns in space along the orbit (FIELD_TURN), and the attitudes have errors
         motion_variance = ((FIELD_TURN * interval_s) ** 2 + turn_variance) * strength**2
         pair_variance = 2 * magnetometer.noise**2 + motion_variance
-        return ((np.diff(in_space, axis=0) ** 2).sum(axis=1) / pair_variance)[pairs]
+        return ((np.diff(field_N, axis=0) ** 2).sum(axis=1) / pair_variance)[pairs]
     if name == "attitude_B_from_N" and sensors.attitude is not None:
-        read = Rotation.from_quat(np.where(known[:, None], value, [0.0, 0.0, 0.0, 1.0]))
-        off = (
-            (read[1:] * read[:-1].inv()).inv() * (attitude[1:] * attitude[:-1].inv())
-        ).magnitude()
-        return (off**2 / (2 * sensors.attitude.sigma_rad**2 + turn_variance))[pairs]
+        read_attitude = Rotation.from_quat(np.where(known[:, None], read, [0.0, 0.0, 0.0, 1.0]))
+        # rotation of the body from one sample to the next, as read and of the motion
+        turn_read = read_attitude[1:] * read_attitude[:-1].inv()
+        turn = attitude[1:] * attitude[:-1].inv()
+        angle = (turn_read.inv() * turn).magnitude()
+        return (angle**2 / (2 * sensors.attitude.sigma_rad**2 + turn_variance))[pairs]
     return np.zeros(0)

@@ -1,9 +1,11 @@
-"""Which column is which: whether the motion confirms columns, axes and signs, and what is said if it does not.
+"""Whether the data confirm the columns, axes and signs that the vehicle file states, and what the result says if they do not.
 
-A file may be equivalent to itself, or to one with exchanged columns, by a rotation or mirror of the body: then no data distinguish
-the motions, and none of them is decided unless all are listed. If a pass does not fit, other columns are tried on it. On a file of
-panels alone that fits they are tried in three cases: its samples, each by itself, fit other columns far better; or they fit other
-columns as well, and only the motion can tell which are right; or the data fit better with a wheel that turns the other way.
+A file may look the same as one with exchanged columns if the body is rotated or mirrored; the pass then has another motion with the
+same readings (:mod:`.equivalence`). No data distinguish the two, and no pass is decided unless all such motions are listed.
+
+If a pass does not fit, other columns are tried on it (:mod:`.column_tests`). On a file of panels alone that fits they are tried in
+three cases: its samples, each by itself, fit other columns far better; or they fit other columns as well, and only the motion shows
+which are right; or the data fit better with a wheel that turns the other way.
 """
 
 from __future__ import annotations
@@ -24,10 +26,10 @@ from sunspin.estimate.column_tests import (
     EXCLUDED,
     MOST_NAMED,
     MOST_SQUARE,
-    Better,
-    CostsOfSamples,
-    Named,
-    Trials,
+    BetterChanges,
+    ChangeWithRate,
+    Estimators,
+    SampleCosts,
     rival_exchanges,
     rival_words,
     silent_inputs,
@@ -63,69 +65,76 @@ from sunspin.telemetry.sun import signals
 from sunspin.vehicle import Vehicle
 from sunspin.vehicle.timeline import utc_after
 
-SAMPLES_DENY = "the samples, each by itself, fit other columns far better"
+SAMPLES_CONTRADICT = "the samples, each by itself, fit other columns far better"
 """Why a pass that fits is not decided, although no change of columns is named. Of some 700 right simulated files, faulty panels and
 strong torques among them, none has a change that is better by more than 5 in log likelihood. Of 64 files with two columns exchanged
 50 have one that is better by :data:`~sunspin.estimate.column_tests.WORTH_A_SEARCH`."""
 
 TRY_COLUMNS = "estimate with `column_tests=True` (without `--no-column-tests`), which tries these"
-"""What to do if no tests were asked for: in Python, and on the command line, where only that option prevents them."""
+"""Advice if the caller asked for no column tests: in Python, and on the command line, where only that option prevents them."""
 
 COLUMN_SHARE = 8.0
-"""Budget of the column tests, in budgets of a pass: a quick search takes 2 to 8 % of one, a whole estimate a tenth, and up to 21
-changes of a cube are tried."""
+"""Computing budget of the column tests, in budgets of a pass: a quick search takes 2 to 8 % of one, a whole estimate a tenth, and
+up to 21 changes of a cube are tried."""
 
-Again = Callable[[Vehicle, xr.Dataset], xr.Dataset]
-"""Function that estimates a vehicle and its telemetry again, without column tests."""
+EstimateAgain = Callable[[Vehicle, xr.Dataset], xr.Dataset]
+"""Function that runs `rates` without column tests on a vehicle and its telemetry."""
 
 
 def check_columns(
     result: xr.Dataset,
     assessment: Assessment,
     doubt: Reversed | None,
-    again: Again | None,
+    again: EstimateAgain | None,
     settings: RatesSettings,
     budget: Budget,
 ) -> xr.Dataset:
     """Return the result of `rates` with what the data say of columns, axes and signs.
 
-    `doubt`: wheels that may turn the other way. `again`: how other columns are estimated, None if none are to be tried. Passes may
-    lose `decided` and `unique`; `columns_checked` says what is known of the columns. Attributes: `alike`, `columns_unseen`,
-    `columns_rivals`, `columns_doubt`, `columns_changes`, `column_tests_cut`, `symmetric_unlisted`.
+    Passes may lose `decided` and `unique`; `columns_checked` says of each whether the data confirm the columns. Attributes may be
+    added: `alike`, `columns_unseen`, `columns_rivals`, `columns_doubt`, `columns_changes`, `column_tests_cut`, and
+    `symmetric_unlisted`. `doubt`: wheels that may turn the other way. `again`: function that estimates changed files, None if the
+    caller asked for no column tests. `budget`: of one pass.
     """
     vehicle, telemetry = assessment.vehicle, assessment.telemetry
     observed = what_was_observed(vehicle, telemetry, result.attrs)
     result = _with_unseen_changes(result, observed, telemetry)
     result = _with_symmetric_motions(result, observed, telemetry)
-    of_tests = replace(budget, most=COLUMN_SHARE * budget.most)
+
+    # What the samples of the longest pass, each by itself, say of the columns. This is asked only of a file of panels alone that
+    # fits: with another sensor, a file of wrong columns does not fit.
     fits = bool(result["fits"].values.all())
-    # only of panels without another sensor: with one a file of wrong columns does not fit
     costs = None
     if fits and observed.panels and not observed.sensors:
-        costs = CostsOfSamples.of(vehicle, samples_of(result, telemetry, _longest(result)))
-    denied = costs is not None and costs.deny_the_columns()
-    # a file with exchanged columns may fit better with reversed wheels, and better still with the columns exchanged
-    suspected = denied or (costs is not None and doubt is not None)
+        costs = SampleCosts.of(vehicle, samples_of(result, telemetry, _longest(result)))
+    contradicted = costs is not None and costs.contradict_the_columns()
+
+    # Other columns are tried on a pass that does not fit, if the samples contradict the columns, or if a wheel is in doubt: a file
+    # with exchanged columns may fit better with reversed wheels, and better still with the columns exchanged.
+    suspected = contradicted or (costs is not None and doubt is not None)
     others_tried = again is not None and (not fits or suspected)
-    trials = None if again is None else trials_of(result, again, settings, of_tests)
-    if trials is not None and others_tried:
-        result = _with_other_columns(result, observed, telemetry, trials)
-    if trials is not None and costs is not None and "columns_doubt" not in result.attrs:
-        least = 0.0 if doubt is None else doubt.gain
-        result = _with_rivals(result, observed, telemetry, costs, trials, least)
-    if denied and "columns_doubt" not in result.attrs:
-        how = "" if again is not None else f": {TRY_COLUMNS}"
-        result = _undecided(result, SAMPLES_DENY).assign_attrs(columns_doubt=SAMPLES_DENY + how)
-    # both kinds of tests share a budget
-    if others_tried or of_tests.cut:
-        result = result.assign_attrs(column_tests_cut=int(of_tests.cut))
+    tests_budget = replace(budget, most=COLUMN_SHARE * budget.most)
+    if again is not None:
+        estimators = estimators_of(result, again, settings, tests_budget)
+        if others_tried:
+            result = _with_other_columns(result, observed, telemetry, estimators)
+        if costs is not None and "columns_doubt" not in result.attrs:
+            least_gain = 0.0 if doubt is None else doubt.gain
+            result = _with_rivals(result, observed, telemetry, costs, estimators, least_gain)
+    if contradicted and "columns_doubt" not in result.attrs:
+        advice = "" if again is not None else f": {TRY_COLUMNS}"
+        result = _undecided(result, SAMPLES_CONTRADICT)
+        result = result.assign_attrs(columns_doubt=SAMPLES_CONTRADICT + advice)
+    if others_tried or tests_budget.cut:
+        result = result.assign_attrs(column_tests_cut=int(tests_budget.cut))
     return _with_doubted_wheels(result, doubt, observed, telemetry, others_tried)
 
 
 def what_was_observed(vehicle: Vehicle, telemetry: xr.Dataset, attrs: dict) -> Observed:
-    """Return what the telemetry has read, as far as it distinguishes changes.
+    """Return which readings the telemetry has, to decide which changes of the file look the same in them.
 
-    `attrs`: of a result, which say what the wheels do, and if there is an orbit, in which Sun and field are known in space.
+    `attrs`: attributes of a result of `rates`: what the wheels do (`wheels`), whether the panels were used (`source`), and `orbit`
+    if the directions of Sun and field in space are known.
     """
     momenta = momentum_of_each(vehicle, telemetry, name_of_wheels(attrs["wheels"]))
     observed = Observed.of(vehicle, telemetry, momenta=momenta, in_orbit="orbit" in attrs)
@@ -135,10 +144,11 @@ def what_was_observed(vehicle: Vehicle, telemetry: xr.Dataset, attrs: dict) -> O
 def _with_unseen_changes(
     result: xr.Dataset, observed: Observed, telemetry: xr.Dataset
 ) -> xr.Dataset:
-    """Return the result with changes of columns that look the same as the file as it is written, and with symmetric motions.
+    """Return the result with the changes of columns that no data of the file distinguish from the columns as they are written.
 
-    attrs["columns_unseen"] is JSON, a row for each change: `what`, and the `matrix` by which directions change. Without such
-    changes the data confirm the columns.
+    attrs["columns_unseen"] is JSON, a row for each such change: `what` it is, and the `matrix` (3, 3) that maps body directions
+    under the file to those under the change. Without any, the data confirm the columns. attrs["alike"] says which motions panels on
+    shared inputs cannot distinguish.
     """
     if not observed.panels:
         return result
@@ -158,9 +168,10 @@ def _with_unseen_changes(
 def _with_symmetric_motions(
     result: xr.Dataset, observed: Observed, telemetry: xr.Dataset
 ) -> xr.Dataset:
-    """Return the result with no pass unique whose panels read the same in a motion that is not listed.
+    """Return the result in which no pass is unique if another motion with the same panel readings is missing among its solutions.
 
-    A rotation or mirror of the body then maps the file onto itself; a mirror does if all lit panels lie in a plane.
+    Such a motion exists if a rotation or mirror of the body leaves all panels as they are; a mirror does if all lit panels lie in a
+    plane. attrs["symmetric_unlisted"] counts the passes that are no longer unique.
     """
     if not observed.panels or "noise" not in result.attrs:
         return result
@@ -171,6 +182,7 @@ def _with_symmetric_motions(
     for k in np.flatnonzero(unique & result["fits"].values):
         lit = Observed.of(observed.vehicle, samples_of(result, telemetry, k)).lit
         sun = result["sun_B"].values[result["pass_of"].values == k]
+        # of all solutions of pass k (n_solution, 3)
         omega, sigma = (
             np.stack([result[f"{name}_{axis}"].values[k] for axis in "xyz"], axis=1)
             for name in ("omega", "sigma")
@@ -187,7 +199,7 @@ def _with_symmetric_motions(
 
 
 def noise_of(result: xr.Dataset, vehicle: Vehicle) -> np.ndarray | float:
-    """Return the noise of the panels' readings: that of the vehicle file, else the estimated one."""
+    """Return one sigma of the panel readings: of each input (n_input) as the vehicle file states, else the estimated one."""
     stated = vehicle.input_noise
     return result.attrs["noise"] if stated is None else stated
 
@@ -197,36 +209,36 @@ def has_unlisted_motion(
 ) -> bool:
     """Return whether a motion has a symmetric one with the same readings that is not among the solutions.
 
-    `omega`, `sigma` (K, 3) in rad/s: the rates of all solutions at one time, the motion first, NaN if there are fewer;
-    `observed.sun_B`: the Sun along it; `noise`: of the readings, in W or A, or in gains.
+    `omega`, `sigma` (K, 3), rad/s: rates of all solutions at one time and their errors, the motion first, NaN if there are fewer
+    than K. `observed.sun_B`: the Sun directions along the motion. `noise`: as of :func:`noise_of`.
     """
     power = observed.vehicle.response_in().power
-    read = power(observed.sun_B)
-    # rotations and mirrors of the body by which the file is equivalent to itself
-    for m in equivalence(observed, AS_WRITTEN, AS_WRITTEN):
-        off = np.abs(rate_under(m, omega[0]) - omega)
-        is_listed = (off < SAME_SIGMAS * sigma).all(axis=1).any()
-        # within the errors of the file they need not be exact: whether the readings of this pass stay the same is computed
-        change = (power(observed.sun_B @ m.T) - read) / noise
+    readings = power(observed.sun_B)
+    # rotations and mirrors M (3, 3) of the body under which the file looks the same as itself
+    for matrix in equivalence(observed, AS_WRITTEN, AS_WRITTEN):
+        difference = np.abs(rate_under(matrix, omega[0]) - omega)
+        is_listed = (difference < SAME_SIGMAS * sigma).all(axis=1).any()
+        # `equivalence` allows the stated errors of the file. Here the readings of this pass must stay the same.
+        change = (power(observed.sun_B @ matrix.T) - readings) / noise
         if not is_listed and (change**2).sum() / 2 <= CLEARLY:
             return True
     return False
 
 
 def _with_other_columns(
-    result: xr.Dataset, observed: Observed, telemetry: xr.Dataset, trials: Trials
+    result: xr.Dataset, observed: Observed, telemetry: xr.Dataset, estimators: Estimators
 ) -> xr.Dataset:
-    """Return the result with the changes that fit the longest pass that does not fit, or with the sensor that is in its way.
+    """Return the result with the changes that make the longest unfitted pass fit, or with the sensor that contradicts the others.
 
-    If all passes fit, the longest is tried: its samples, each by itself, then fit other columns far better.
+    If all passes fit, the longest of all is tried, since its samples or a wheel raise doubts of the columns.
     """
     unfitted = np.flatnonzero(~result["fits"].values)
-    part = samples_of(result, telemetry, _longest(result, unfitted if len(unfitted) else None))
-    of_part = what_was_observed(observed.vehicle, part, result.attrs)
-    better = what_fits_better(of_part, part, trials)
+    of_pass = samples_of(result, telemetry, _longest(result, unfitted if len(unfitted) else None))
+    observed_in_pass = what_was_observed(observed.vehicle, of_pass, result.attrs)
+    better = what_fits_better(observed_in_pass, of_pass, estimators)
     if better is None:
         return result
-    if isinstance(better, Better):
+    if isinstance(better, BetterChanges):
         return _with_named_changes(_undecided(result, "columns, signs or axes"), better)
     return result.assign_attrs(columns_doubt=better.words())
 
@@ -235,56 +247,63 @@ def _with_rivals(
     result: xr.Dataset,
     observed: Observed,
     telemetry: xr.Dataset,
-    costs: CostsOfSamples,
-    trials: Trials,
-    least: float,
+    costs: SampleCosts,
+    estimators: Estimators,
+    least_gain: float,
 ) -> xr.Dataset:
-    """Return the result with changes that the samples allow as well and that fit the longest decided pass about as well, if any.
+    """Return the result with its rivals, if any: other columns that fit the longest decided pass about as well as the file.
 
-    `costs`: of the samples of the longest pass, decided or not; `least`: log evidence by which changes must be better, that of
-    reversed wheels if their sign is in doubt. Changes that are better than `AS_PROBABLE` leave no pass decided. Others that the
-    data do not exclude are said, with their rates, in attrs["columns_rivals"].
+    Rivals that are clearly better accuse the file: they are named, and no pass is decided. Others with a probability of one in ten
+    (`AS_PROBABLE`) and another rate leave no pass decided either. Those that the data do not exclude are listed, with their rates,
+    in attrs["columns_rivals"]. `costs`: of the samples of the longest pass, decided or not. `least_gain`: log evidence by which a
+    rival must be better than the file, that of reversed wheels if a wheel is in doubt, else 0 for no limit.
     """
     decided = np.flatnonzero(result["decided"].values)
     if "noise" not in result.attrs or not len(decided):
         return result
     k = _longest(result, decided)
-    part = samples_of(result, telemetry, k)
-    of_part = what_was_observed(observed.vehicle, part, result.attrs)
-    of_part = replace(of_part, sun_B=result["sun_B"].values[result["pass_of"].values == k])
+    of_pass = samples_of(result, telemetry, k)
+    observed_in_pass = replace(
+        what_was_observed(observed.vehicle, of_pass, result.attrs),
+        sun_B=result["sun_B"].values[result["pass_of"].values == k],
+    )
     if k != _longest(result):
-        costs = CostsOfSamples.of(observed.vehicle, part)
-    # a pass that is a part of the file was assessed with the rest, a change is estimated by itself
-    alone = part.sizes["time"] == telemetry.sizes["time"]
-    as_written = float(result.attrs["log_evidence"][k]) if alone else None
+        costs = SampleCosts.of(observed.vehicle, of_pass)
+    # The evidence of a pass in a file of several was computed with the other passes, that of a change is computed by itself.
+    is_whole_file = of_pass.sizes["time"] == telemetry.sizes["time"]
+    as_written = float(result.attrs["log_evidence"][k]) if is_whole_file else None
     noise = noise_of(result, observed.vehicle)
-    rivals = rival_exchanges(of_part, part, costs, noise, trials, as_written)
-    rivals = [rival for rival in rivals if rival.gain >= least or not least]
-    # A small gain does not accuse the file, but the pass is not decided with it. Nor does evidence alone accuse it: of a slow body
-    # that was searched up to 40 times its rate, a change of dark columns had 11.7 more although its best motion fitted worse.
-    # Misaligned panels may stand for exchanged columns, and then their cost is low: the evidence accuses alone.
+    rivals = rival_exchanges(observed_in_pass, of_pass, costs, noise, estimators, as_written)
+    rivals = [rival for rival in rivals if rival.gain >= least_gain or not least_gain]
+
+    # 1. Rivals that accuse the file. Evidence alone does not: of a slow body that was searched up to 40 times its rate, a change of
+    # dark columns had 11.7 more although its best motion fitted worse. So the cost must be lower too, unless the file fits with
+    # misaligned panels: these may stand for exchanged columns, and then its cost is low.
     misaligned = str(result["model"].values[k]).startswith(MISALIGNED)
-    most = np.inf if misaligned else float(result["cost"].values[k, 0]) - CLEARLY
-    accusing = [rival for rival in rivals if rival.gain > CLEARLY and rival.cost <= most]
+    most_cost = np.inf if misaligned else float(result["cost"].values[k, 0]) - CLEARLY
+    accusing = [rival for rival in rivals if rival.gain > CLEARLY and rival.cost <= most_cost]
     if accusing:
         best = accusing[0]
-        near = [rival for rival in accusing if rival.gain > best.gain - CLEARLY]
-        named = tuple(named for rival in near for named in rival.named)
+        near_best = [rival for rival in accusing if rival.gain > best.gain - CLEARLY]
+        changes = tuple(change for rival in near_best for change in rival.changes)
         result = _undecided(result, "columns, signs or axes")
-        return _with_named_changes(result, replace(best, named=named))
+        return _with_named_changes(result, replace(best, changes=changes))
+
+    # 2. Rivals with another rate: if the rates are the same, the result is right with either.
     omega, sigma = (
         np.array([result[f"{name}_{axis}"].values[k, 0] for axis in "xyz"])
         for name in ("omega", "sigma")
     )
-    # the rate is right with either if it is the same with both
     others = [rival for rival in rivals if not _gives_the_rate(rival, omega, sigma)]
     as_probable = [rival for rival in others if rival.gain > AS_PROBABLE]
     if as_probable:
-        names = [named.change.what for rival in as_probable for named in rival.named]
+        names = [change.what for rival in as_probable for change, _ in rival.changes]
         what = " or with ".join(names[:MOST_NAMED])
         words = f"the data fit as well with {what}: find out which columns are right"
         reason = f"other columns fit as well (with {what})"
         return _undecided(result, reason, COLUMNS_UNCHECKED).assign_attrs(columns_doubt=words)
+
+    # 3. Rivals that are not excluded.
     not_excluded = [rival for rival in others if rival.gain > -EXCLUDED]
     if not not_excluded:
         return result
@@ -296,17 +315,19 @@ def _with_rivals(
     )
 
 
-def _gives_the_rate(rival: Better, omega: np.ndarray, sigma: np.ndarray) -> bool:
-    """Return whether a change and all that look the same give the rate `omega` (3) within its errors `sigma` (3), in rad/s."""
-    rates = [named.omega for named in rival.named if named.omega is not None]
+def _gives_the_rate(rival: BetterChanges, omega: np.ndarray, sigma: np.ndarray) -> bool:
+    """Return whether the rates under all changes of a rival agree with `omega` (3) within its errors `sigma` (3), in rad/s."""
+    rates = [rate for _, rate in rival.changes if rate is not None]
     return all((np.abs(rate - omega) < SAME_SIGMAS * sigma).all() for rate in rates)
 
 
-def trials_of(result: xr.Dataset, again: Again, settings: RatesSettings, budget: Budget) -> Trials:
-    """Return how changes are judged, under the wheels and the largest rate of a result.
+def estimators_of(
+    result: xr.Dataset, again: EstimateAgain, settings: RatesSettings, budget: Budget
+) -> Estimators:
+    """Return the functions that estimate changed files as the file of a `result` was estimated: same wheels, same largest rate.
 
-    If a solution of the file as it is written is faster than the largest rate, which nobody stated, quick searches go as far as
-    its own search did.
+    If a solution of the result is faster than its largest rate, which then nobody stated, quick searches go as far as its own
+    search.
     """
     attrs = result.attrs
     source = None if attrs["source"] == "directions" else attrs["source"]
@@ -316,7 +337,7 @@ def trials_of(result: xr.Dataset, again: Again, settings: RatesSettings, budget:
         rate_max *= settings.alternatives.beyond
 
     def evidence(changed: Vehicle, data: xr.Dataset) -> float:
-        """Return the log evidence of the pass by a quick search."""
+        """Return the log evidence of the telemetry by a quick search, as one pass; -inf if it cannot be estimated."""
         try:
             assessment = assess(changed, data)
             readings = observe(assessment, source)
@@ -324,34 +345,37 @@ def trials_of(result: xr.Dataset, again: Again, settings: RatesSettings, budget:
         except InputError:
             return -np.inf
         noise = Noise(settings.search.noise)
+        # the prior sigma of the rate is half of the largest rate
         nominal = Model(readings.obs, Body.of(changed), noise, rate_max / 2)
         momentum = wheel_models(changed, data)[name_of_wheels(attrs["wheels"])]
         nominal = nominal.with_momentum(momentum)
         silent = cost_of_silent_panels(assessment, whole.kept) if source == "panels" else 0.0
         return quick_evidence(nominal.seeing(whole.kept), settings, budget) - silent
 
-    def run(changed: Vehicle, data: xr.Dataset) -> xr.Dataset | None:
-        """Return the whole estimate of the pass, if there is one."""
+    def estimate(changed: Vehicle, data: xr.Dataset) -> xr.Dataset | None:
+        """Return the whole estimate of the telemetry; None if it cannot be estimated."""
         try:
-            estimate = again(changed, data)
+            estimated = again(changed, data)
         except InputError:
             return None
-        budget.spend(estimate.attrs["effort"] * USUAL * estimate.sizes["pass_id"])
-        return estimate
+        budget.spend(estimated.attrs["effort"] * USUAL * estimated.sizes["pass_id"])
+        return estimated
 
-    return Trials(evidence, run, budget)
+    return Estimators(evidence, estimate, budget)
 
 
 def cost_of_silent_panels(assessment: Assessment, samples: np.ndarray) -> float:
-    """Return minus the log likelihood of the readings at `samples` of panels that are left out, as they never show a signal.
+    """Return minus the log likelihood of the readings at `samples` (indices) of the panels that the estimate leaves out.
 
-    Such a panel is taken to have failed, and its readings for noise about zero. Which panels are so depends on the order of the
-    columns: if these readings counted nothing, two exchanged columns without a signal were better by 125 in a right file.
+    These panels never show a signal: they are taken to have failed, and their readings for noise about zero. Which panels are left
+    out depends on the order of the columns, so evidences are compared with this cost: without it, two exchanged columns without a
+    signal were better by 125 in a right file.
     """
     quality = assessment.quality
     silent = silent_inputs(assessment)
     zeros = SHADOW_ZERO_SHARE * quality.attrs["full_sun"] * quality["gain"].values
     read = signals(assessment.telemetry)
+    # noise and zero offset of each reading (n, n_input)
     sigma = np.broadcast_to(np.hypot(quality["noise"].values, zeros), read.shape)
     read, sigma = read[samples][:, silent], sigma[samples][:, silent]
     square = np.minimum(np.nan_to_num(read / sigma) ** 2, MOST_SQUARE)
@@ -365,10 +389,10 @@ def _with_doubted_wheels(
     telemetry: xr.Dataset,
     others_tried: bool,
 ) -> xr.Dataset:
-    """Return the result with nothing decided if the sign of a wheel is in doubt.
+    """Return the result with no pass decided if the sign of a wheel is in doubt.
 
-    Unless another change fits, the wheel is named with all changes that look the same. If it does not fit either, and all others
-    were tried (`others_tried`), no change is named.
+    The reversed wheel is named with all changes that look the same, unless other changes are named already. If the data do not fit
+    with it either, and all other changes were tried (`others_tried`), none is named.
     """
     if doubt is None:
         return result
@@ -381,38 +405,37 @@ def _with_doubted_wheels(
             columns_doubt=f"with {change.what} the data fit better (log evidence better by {doubt.gain:.0f}), and still badly: no "
             "single change of columns or signs explains them"
         )
-    others = [*column_changes(observed.vehicle, telemetry), *wheel_changes(observed.vehicle)]
-    others = [other for other in others if other.what != change.what]
-    at = int(np.argmin(np.abs(doubt.t_s - (doubt.t_s[0] + doubt.t_s[-1]) / 2)))
-    omega = doubt.omega[at]
-    same = alike(replace(observed, sun_B=doubt.sun_B), change, others)
-    named = (
-        Named(change, omega),
-        *(Named(equivalent, rate_under(m, omega)) for equivalent, m in same),
+    candidates = [*column_changes(observed.vehicle, telemetry), *wheel_changes(observed.vehicle)]
+    candidates = [candidate for candidate in candidates if candidate.what != change.what]
+    same = alike(replace(observed, sun_B=doubt.sun_B), change, candidates)
+    # the rate at the sample nearest to the middle of the pass
+    middle = int(np.argmin(np.abs(doubt.t_s - (doubt.t_s[0] + doubt.t_s[-1]) / 2)))
+    omega, at_s = doubt.omega[middle], float(doubt.t_s[middle])
+    changes = (
+        ChangeWithRate(change, omega),
+        *(ChangeWithRate(equivalent, rate_under(matrix, omega)) for equivalent, matrix in same),
     )
-    return _with_named_changes(result, Better(named, doubt.gain, float(doubt.t_s[at]), doubt.fits))
+    return _with_named_changes(result, BetterChanges(changes, doubt.gain, at_s, doubt.fits))
 
 
-def _with_named_changes(result: xr.Dataset, better: Better) -> xr.Dataset:
+def _with_named_changes(result: xr.Dataset, better: BetterChanges) -> xr.Dataset:
     """Return the result with the changes that fit better than the file: a sentence, and in JSON attrs["columns_changes"]."""
     rows = [
         {
-            "what": named.change.what,
-            "do": named.change.do,
+            "what": change.what,
+            "do": change.do,
             "at_s": better.at_s,
-            "omega_deg_s": None
-            if named.omega is None
-            else np.degrees(named.omega).round(6).tolist(),
+            "omega_deg_s": None if omega is None else np.degrees(omega).round(6).tolist(),
         }
-        for named in better.named
+        for change, omega in better.changes
     ]
     clock = partial(clock_time, result.attrs.get("epoch_utc"))
     return result.assign_attrs(columns_doubt=better.words(clock), columns_changes=json.dumps(rows))
 
 
-def _undecided(result: xr.Dataset, what: str, checked: str = COLUMNS_DOUBTED) -> xr.Dataset:
-    """Return the result with no pass decided, since `what` is in doubt for the whole file."""
-    why = [join_reasons(reason, what) for reason in result["why_not_decided"].values]
+def _undecided(result: xr.Dataset, reason: str, checked: str = COLUMNS_DOUBTED) -> xr.Dataset:
+    """Return the result with no pass decided, for a `reason` that holds for the whole file; `checked`: its `columns_checked`."""
+    why = [join_reasons(of_pass, reason) for of_pass in result["why_not_decided"].values]
     count = result.sizes["pass_id"]
     return result.assign(
         decided=("pass_id", np.zeros(count, dtype=bool)),
@@ -427,7 +450,10 @@ def join_reasons(*reasons: str) -> str:
 
 
 def clock_time(epoch_utc: str | None, t_s: float) -> str:
-    """Return a time (s) in words: the clock on the day of the epoch, date and clock on any other day."""
+    """Return a time `t_s` (s after the epoch) in words: the time of day in UTC, with the date if it is not that of the epoch.
+
+    Without an epoch it is the number of seconds.
+    """
     if epoch_utc is None:
         return f"{t_s:.0f} s"
     text = utc_after(t_s, epoch_utc)
@@ -435,13 +461,13 @@ def clock_time(epoch_utc: str | None, t_s: float) -> str:
 
 
 def _longest(result: xr.Dataset, which: np.ndarray | None = None) -> int:
-    """Return the index of the pass with the most samples, of all or of those in `which`."""
+    """Return the index of the pass with the most samples, of all or of those in `which` (indices)."""
     which = np.arange(result.sizes["pass_id"]) if which is None else which
     return int(which[np.argmax(result["samples"].values[which])])
 
 
 def samples_of(result: xr.Dataset, telemetry: xr.Dataset, k: int) -> xr.Dataset:
-    """Return the samples of the telemetry that pass `k` of a result uses, without repeated times."""
+    """Return the samples of the telemetry that pass `k` of a result uses; of samples with the same time the first."""
     times, first = np.unique(telemetry["time"].values, return_index=True)
     used = result["time"].values[result["pass_of"].values == k]
     return take_samples(telemetry, first[np.isin(times, used)])

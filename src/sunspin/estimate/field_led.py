@@ -1,4 +1,8 @@
-"""A search by the magnetic field, if it is known in space and too few samples see the Sun; and how a fit then begins."""
+"""A search by the magnetic field, for a pass in which too few samples see the Sun; and the start of a fit after any search.
+
+A search works in axes whose z follows a direction in space: mostly the Sun (axes N), else the field if it is known in space. That
+direction leaves the angle about it open.
+"""
 
 from __future__ import annotations
 
@@ -15,72 +19,81 @@ from sunspin.estimate.terms.torques import GravityTorque
 from sunspin.solve.rotations import rotate_attitude
 
 FEWEST_SUNS = 4
-"""Samples that show the Sun; with fewer, a search begins with the field where it is known."""
+"""If fewer samples show the Sun, a search uses the field, where it is known."""
 
 FIELD_TURNS, SUN_TURNS = 8, 6
-"""Turns about the field, and about the Sun if a torque shows it, from which a fit begins."""
+"""Number of evenly spaced angles about the field, or about the Sun, from which motions are fitted after the search."""
 
 FIT_STEPS = 12
-"""Steps of the fits from these turns, of which few are left."""
+"""Steps of these fits. Their results start further fits."""
 
 
 def models_to_search(nominal: Model, noise: Noise) -> list[Model]:
-    """Return the models that are searched: by the field's directions in place of the Sun's if hardly any sample shows the Sun."""
-    known = leading_field(nominal)
-    if known is None:
-        return nominal.for_search(noise)
-    loose = nominal.for_search(noise)[0]
-    pairs = zip(nominal.obs.terms, loose.obs.terms, strict=True)
-    others = (of_search for term, of_search in pairs if not term.of_sun and term is not known)
-    return [replace(loose, obs=replace(loose.obs, terms=(known.as_sun_directions(), *others)))]
+    """Return the models that a search uses: without unknowns, under random torques of the strength `noise`.
+
+    There are several if readings may mean several things (`Model.for_search`). If hardly any sample shows the Sun, it is one model
+    in which the directions of the field take the place of the Sun's.
+    """
+    models, field = nominal.for_search(noise), leading_field(nominal)
+    if field is None:
+        return models
+    pairs = zip(nominal.obs.terms, models[0].obs.terms, strict=True)
+    others = (in_search for term, in_search in pairs if not term.of_sun and term is not field)
+    obs = replace(models[0].obs, terms=(field.as_sun_directions(), *others))
+    return [replace(models[0], obs=obs)]
 
 
 def leading_field(nominal: Model) -> KnownField | None:
-    """Return the known field whose directions the search uses in place of the Sun's; None if it uses the Sun's."""
+    """Return the known field whose directions a search uses in place of the Sun's; None if it uses the Sun's."""
     known = [term for term in nominal.obs.terms if isinstance(term, KnownField)]
     return known[0] if known and nominal.obs.sees_sun.sum() < FEWEST_SUNS else None
 
 
-def to_nominal_axes(nominal: Model, loose: Model, motions: Track, s: SearchSettings) -> Track:
-    """Return motions of a search in the axes N of the nominal model; `loose`: the model that was searched.
+def to_nominal_axes(nominal: Model, searched: Model, motions: Track, s: SearchSettings) -> Track:
+    """Return motions of a search in the axes N of the nominal model, with the angle that the search left open.
 
-    A search by the field finds motions in axes whose z follows the field, and leaves the turn about it open. They are fitted with
-    the field as it is known in N, from several such turns; the field's turning in space leaves few of them. A search by the Sun
-    leaves the turn about the Sun open: if nothing but the gravity gradient shows it, several are tried.
+    `searched`: the model that was searched, one of :func:`models_to_search`. After a search by the field the axes are turned from
+    those that follow the field to N. Each motion is fitted from several angles about the field, with the field as it is known in N:
+    as that turns in space, few angles fit. After a search by the Sun, fits begin from several angles about the Sun if the torque of
+    the gravity gradient acts, which depends on that angle. Else a sensor determines it (:func:`prepare_fit`), if any.
     """
-    known = leading_field(nominal)
-    if known is not None:
-        turns, frames = FIELD_TURNS, known.field_axes()
-        plain = nominal.for_search(loose.noise)[0]
-        terms = tuple(
-            known.without_errors() if term is known else of_search
-            for term, of_search in zip(nominal.obs.terms, plain.obs.terms, strict=True)
+    field = leading_field(nominal)
+    if field is not None:
+        # `from_N` (n, 3, 3): from N to axes that follow the field
+        angles, from_N, model = FIELD_TURNS, field.field_axes(), nominal.for_search(searched.noise)[0]
+        pairs = zip(nominal.obs.terms, model.obs.terms, strict=True)
+        terms = (
+            field.without_errors() if term is field else in_search for term, in_search in pairs
         )
-        model = replace(plain, obs=replace(plain.obs, terms=terms))
+        model = replace(model, obs=replace(model.obs, terms=tuple(terms)))
     elif any(isinstance(term, GravityTorque) for term in nominal.obs.terms):
-        turns, frames, model = SUN_TURNS, np.eye(3), loose
+        angles, from_N, model = SUN_TURNS, np.eye(3), searched
     else:
         return motions
     tracks = []
-    for angle in 2 * np.pi / turns * np.arange(turns):
-        attitude = motions.attitude @ rotate_attitude(np.eye(3), -angle * SUN_N) @ frames
-        omega = motions.omega
-        if known is not None:
-            omega = omega + np.einsum("knij,nj->kni", attitude, known.axes_rate_N())
+    for angle in 2 * np.pi / angles * np.arange(angles):
+        about_z = rotate_attitude(np.eye(3), -angle * SUN_N)  # z: the field or the Sun
+        attitude, omega = motions.attitude @ about_z @ from_N, motions.omega
+        if field is not None:
+            # the rates of the search are relative to axes that turn with the field
+            omega = omega + np.einsum("knij,nj->kni", attitude, field.axes_rate_N())
         tracks.append(Track.free(attitude, omega))
     fitted = fit(model, Track.joined(tracks), FIT_STEPS).motions
-    if known is None:  # all turns fit the Sun alike: the fit with its unknowns decides
+    if field is None:  # all angles fit the Sun alike: the fit with all unknowns decides
         return fitted
     return fitted.take(distinct(fitted, model.obs.t_s, s))
 
 
 def prepare_fit(model: Model, motions: Track) -> Track:
-    """Return motions of a search with the attitudes and unknowns from which a fit of the model begins."""
+    """Return motions of a search with the attitudes and unknowns from which a fit of the model begins.
+
+    Terms guess what a search leaves open or takes for something else, such as the angle about the Sun or the light of the Earth.
+    """
     attitude, u = motions.attitude, np.zeros((len(motions), len(model.unknowns)))
-    about_sun = False
+    sun_angle_known = False
     if len(motions):
-        # terms that show the turn about the Sun come first: the others begin from the attitudes that they determine
+        # terms that show the angle about the Sun come first: the others begin from the attitudes that they determine
         for term, own in sorted(model.terms_with_slices, key=lambda pair: not pair[0].about_sun):
-            attitude, u[:, own] = term.first_guess(States(attitude, motions.omega), about_sun)
-            about_sun |= term.about_sun
+            attitude, u[:, own] = term.first_guess(States(attitude, motions.omega), sun_angle_known)
+            sun_angle_known |= term.about_sun
     return Track(attitude, motions.omega, u)

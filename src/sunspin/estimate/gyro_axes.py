@@ -1,7 +1,8 @@
-"""A gyro whose columns are not along the body axes that the file states: another order or other signs, as Sun and field show.
+"""Test of a gyro's axes: whether its columns have another order or other signs than the vehicle file states.
 
-Only if the stated rates do not turn these directions as they are seen, and others do: a gyro that fits is not accused. Between two
-samples the rate changes evenly, or as wheels turn it round: each reading counts by the better of the two.
+Sun and magnetic field hold still in space for minutes. So a direction to one of them in the body, rotated by the rates of the gyro,
+must agree with the one that is measured some samples later. Between two samples the rate changes linearly, or as the wheels turn
+it: each way to read the gyro counts by the better of the two.
 """
 
 from __future__ import annotations
@@ -11,7 +12,7 @@ import xarray as xr
 from scipy.spatial.transform import Rotation
 
 from sunspin.estimate.carry import MOST_NUTATION_RAD, nutation, step
-from sunspin.estimate.column_tests import axes_matrix, signed_axes, to_write
+from sunspin.estimate.column_tests import advice_to_set, axes_matrix, signed_axes
 from sunspin.estimate.equivalence import ColumnChange, Observed, alike, column_changes
 from sunspin.estimate.model import Body
 from sunspin.estimate.observe import wheel_models
@@ -28,15 +29,14 @@ from sunspin.telemetry.units import (
 from sunspin.vehicle import Vehicle
 
 AS_GOOD = 1.3
-"""Readings whose median angle is less than this many times the least turn the directions as well. The one nearest to the stated is
-named, as a component that is small at all times may have any sign."""
+"""Ways to read the gyro are as good as the best if their median error is below this many times the least. The one nearest to the
+stated way is named, as a component that is small at all times may have any sign."""
 
 
 def wrong_gyro_axes(assessment: Assessment) -> str | None:
-    """Return how the gyro must be read to turn the Sun and the field as they are seen, in words, and what to write.
+    """Return in words with which order and signs of its columns the gyro agrees with Sun and field, and which keys to set.
 
-    None if it does so as the file states, or no other reading does. Sun and field hold still in space. So each of their directions
-    in the body, turned by the rates of the gyro, must give those some samples later (:data:`LAGS`); 48 ways to read it are tried.
+    None if it agrees as the vehicle file states, or with none of the 48 ways to read three columns.
     """
     vehicle, telemetry = assessment.vehicle, assessment.telemetry
     gyro = vehicle.sensors.gyro
@@ -45,41 +45,44 @@ def wrong_gyro_axes(assessment: Assessment) -> str | None:
     time, rate = telemetry["time"].values, telemetry["gyro_B"].values
     directions = assessment.still_directions
     ways = list(signed_axes())  # the stated one first
-    read = [rate[:, order] * sign for _, order, sign in ways]
-    # turns between samples by each way to read the gyro: of a rate that changes evenly, and of a body with wheels (if needed)
-    even = [rotations_between_samples(time, rates) for rates in read]
-    nutating: list[np.ndarray] | None = None
+    rates = [rate[:, order] * signs for _, order, signs in ways]
+    # rotations (n - 1, 3) between samples for each way: of linear rates, and of a body with wheels (computed only if needed)
+    linear = [rotations_between_samples(time, of_way) for of_way in rates]
+    of_body: list[np.ndarray] | None = None
+    at_rest = np.zeros_like(linear[0])
+    # directions are compared over 1, 2, 4, 8 samples, as a slow body rotates little from one to the next
     for lag in LAGS:
-        at_rest = np.zeros_like(even[0])
-        stated, without_turn = median_direction_errors(time, directions, [even[0], at_rest], lag)
-        if stated <= WRONG_RAD:
+        stated_error, rest_error = median_direction_errors(
+            time, directions, [linear[0], at_rest], lag
+        )
+        if stated_error <= WRONG_RAD:
             continue
-        if nutating is None:
-            nutating = _nutating(vehicle, telemetry, read)
-        angles = np.min(
-            [median_direction_errors(time, directions, t, lag) for t in (even, nutating) if t],
+        if of_body is None:
+            of_body = _rotations_with_wheels(vehicle, telemetry, rates)
+        errors = np.min(
+            [median_direction_errors(time, directions, r, lag) for r in (linear, of_body) if r],
             axis=0,
         )
-        # another way must turn the directions well, and clearly better than the stated way and than no turn at all
-        least = float(angles.min())
-        limit = min(RIGHT_RAD, BETTER * angles[0], BETTER * without_turn)
-        if angles[0] <= WRONG_RAD or least >= limit:
+        # another way must agree with the directions, and clearly better than the stated way and than a body at rest
+        least = float(errors.min())
+        limit = min(RIGHT_RAD, BETTER * errors[0], BETTER * rest_error)
+        if errors[0] <= WRONG_RAD or least >= limit:
             continue
-        ties = np.flatnonzero(angles < AS_GOOD * least)
-        # of those that are as good the one nearest to the stated axes
-        chosen = max(ties, key=lambda k: (np.trace(axes_matrix(*ways[k][1:])), -angles[k]))
-        what, order, sign = ways[chosen]
+        ties = np.flatnonzero(errors < AS_GOOD * least)
+        # the trace of a matrix of axes is largest for those nearest to the stated ones
+        chosen = max(ties, key=lambda k: (np.trace(axes_matrix(*ways[k][1:])), -errors[k]))
+        what, order, signs = ways[chosen]
         words = f"the gyro {what} agrees with the Sun directions, and with the columns of the file it does not"
         if len(ties) > 1:
             others = f"{len(ties) - 1} other{'s' if len(ties) > 2 else ''}"
             words += f" (as {others} do: a component that stays small may have any sign)"
-        instead = _columns_instead(vehicle, telemetry, axes_matrix(order, sign))
-        return f"{words}; {to_write('gyro', gyro.keys_for_axes(order, sign))}{instead}"
+        instead = _columns_instead(vehicle, telemetry, axes_matrix(order, signs))
+        return f"{words}; {advice_to_set('gyro', gyro.keys_for_axes(order, signs))}{instead}"
     return None
 
 
 def _columns_instead(vehicle: Vehicle, telemetry: xr.Dataset, matrix: np.ndarray) -> str:
-    """Return which columns of panels, exchanged, look the same as a gyro read by a matrix (3, 3), in words; empty if none do."""
+    """Return in words which exchanged columns look the same as a gyro whose rates are multiplied by `matrix` (3, 3), if any do."""
     gyro = ColumnChange("the gyro", axes={"gyro_B": matrix})
     wheels = next(iter(wheel_models(vehicle, telemetry)))
     observed = Observed.of(vehicle, telemetry, momenta=momentum_of_each(vehicle, telemetry, wheels))
@@ -90,23 +93,26 @@ def _columns_instead(vehicle: Vehicle, telemetry: xr.Dataset, matrix: np.ndarray
     return f", or, which looks the same, {either}: find out which before you set it"
 
 
-def _nutating(vehicle: Vehicle, telemetry: xr.Dataset, read: list[np.ndarray]) -> list[np.ndarray]:
-    """Return the turns (n - 1, 3) between samples of a body that moves freely with its wheels, for each reading (n, 3) of the rate.
+def _rotations_with_wheels(
+    vehicle: Vehicle, telemetry: xr.Dataset, rates: list[np.ndarray]
+) -> list[np.ndarray]:
+    """Return rotation vectors (n - 1, 3) between samples of a free body with wheels, for each of several rates (n, 3).
 
-    The list is empty if inertia or wheels are not known, or if the wheels turn the rate round too often.
+    The list is empty if inertia or wheels are not known, or if the wheels turn the body rate by more than `MOST_NUTATION_RAD`
+    between two samples, which is not integrated.
     """
     if vehicle.inertia_kg_m2 is None or not vehicle.wheels:
         return []
     body, momentum = Body.of(vehicle), next(iter(wheel_models(vehicle, telemetry).values()))
     dt = np.diff(telemetry["time"].values)
-    turned = nutation(body.inertia, momentum[:-1]).max(initial=0.0) * dt.max(initial=0.0)
-    if not turned <= MOST_NUTATION_RAD:
+    largest_rad = nutation(body.inertia, momentum[:-1]).max(initial=0.0) * dt.max(initial=0.0)
+    if not largest_rad <= MOST_NUTATION_RAD:  # nor if it is NaN
         return []
-    rates = np.nan_to_num(read)[:, :-1]  # (48, n - 1, 3)
-    stepped = step(body.inertia, rates, dt, (momentum[:-1], momentum[1:]))
-    # a turn t of the body takes its attitude to exp(-[t x]) times it
-    turns = -Rotation.from_matrix(stepped.turned.reshape(-1, 3, 3)).as_rotvec()
-    turns = turns.reshape(len(read), -1, 3)
-    was_read = np.asarray(np.isfinite(read[0][:-1]).all(axis=1))
-    turns[:, ~was_read] = np.nan
-    return list(turns)
+    at_start = np.nan_to_num(rates)[:, :-1]  # (48, n - 1, 3)
+    stepped = step(body.inertia, at_start, dt, (momentum[:-1], momentum[1:]))
+    # a rotation t of the body multiplies its attitude by exp(-[t x])
+    rotations = -Rotation.from_matrix(stepped.turned.reshape(-1, 3, 3)).as_rotvec()
+    rotations = rotations.reshape(len(rates), -1, 3)
+    was_read = np.asarray(np.isfinite(rates[0][:-1]).all(axis=1))
+    rotations[:, ~was_read] = np.nan
+    return list(rotations)

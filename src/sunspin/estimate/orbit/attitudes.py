@@ -1,14 +1,14 @@
 """Readings of Sun and field in an orbit, with the attitude of each sample projected out of their residuals.
 
-An attitude turns the known directions of Sun and field into the body, where the sensors read them: reading = (1 + M) field + zero,
-and angle = scale angle of the Sun + bias. The best attitude of each sample makes its residuals as small as possible. What
-remains are two conditions for a sample with one Sun direction: the strength of the field, and its angle to the Sun. A second Sun
-sensor or the panels add more.
+An attitude turns the known directions of Sun and field into the body, where the sensors read them. A magnetometer reads
+(1 + M) field + zero, with a matrix M (3, 3); a Sun sensor reads scale angle + bias, with the true angle of the Sun. The best
+attitude of each sample makes its residuals as small as possible. What remains are two conditions for a sample with one Sun
+direction: the strength of the field, and its angle to the Sun. A second Sun sensor or the panels add more.
 
 This is Deming's regression: residuals are differences of readings, not of calibrated vectors. So the noise of the readings does not
-make the estimated scale too small, as it would if one integrated over all attitudes. The fit of the unknowns is variable
-projection: with the derivatives J of a sample's residuals by its attitude, derivatives by the unknowns are multiplied by
-1 - J (J^T J)^-1 J^T.
+make the estimated scale too small, as it would if one integrated over all attitudes. The unknowns that all samples have in common
+(M, zero, scales, biases, along-track offset) are fitted by variable projection: with the derivatives J of a sample's residuals by
+its attitude, the derivatives by the unknowns are multiplied by 1 - J (J^T J)^-1 J^T.
 """
 
 from __future__ import annotations
@@ -33,16 +33,16 @@ from sunspin.solve.linear import DenseSystem, solve_dense
 from sunspin.solve.rotations import cross_matrix, rotate_attitude, tangent_basis
 from sunspin.vehicle import Vehicle
 
-SHIFT, DRIFT, SENSORS, PER_SENSOR = 12, 13, 14, 5
-"""Indices of the along-track offset (s), of its drift (s/day) and of the first Sun sensor among the unknowns, and the number of
-unknowns of each sensor: biases of x and y, and scales of x, y and rotated y, less one."""
+SHIFT, DRIFT, FIRST_SENSOR, PER_SENSOR = 12, 13, 14, 5
+"""Indices among the unknowns, after M (0 to 8) and the zero (9 to 11), of the along-track offset (s), of its drift (s/day) and of
+the first Sun sensor; and the number of unknowns of each sensor: biases of x and y, and scales of x, y and wrapped y, less one."""
 
 WEAK, ROUNDING = 1e-4, 1e-12
 """Added to the information (1/rad^2) on each attitude, so that an unconstrained one stays finite: this much, and this part of all
 information on it."""
 
 FIRST_SCATTER = (0.5, 1.0, 0.02)
-"""Noise with which a fit begins: of Sun sensors and of panels, over their stated sigmas, and of the field in its unit."""
+"""Noise with which a fit begins: of Sun sensors and of panels, as factors on their stated sigmas, and of the field in its unit."""
 
 ATTITUDE_STEPS = 2
 """Gauss-Newton steps of the attitudes for each step of the unknowns."""
@@ -62,17 +62,10 @@ ANY_DIRECTION = np.array([0.0, 0.0, 1.0])
 
 
 class OrbitState(NamedTuple):
-    """Unknowns (1, D), and attitudes (1, n, 3, 3), B from Earth-fixed axes, at which the search for the best ones begins."""
+    """Unknowns (1, D) of one least-squares problem, and attitudes (1, n, 3, 3), B from Earth-fixed axes, near the best."""
 
     unknown: np.ndarray
     attitude: np.ndarray
-
-
-class Residuals(NamedTuple):
-    """Residuals (n, R) in sigmas, 0 if not read, and their derivatives by a rotation of the body (n, R, 3)."""
-
-    value: np.ndarray
-    by_turn: np.ndarray
 
 
 class ProjectedResiduals(NamedTuple):
@@ -91,11 +84,12 @@ class ProjectedResiduals(NamedTuple):
 
 @dataclass(frozen=True)
 class OrbitModel:
-    """Residuals of readings in an orbit: R of a sample, two of each of F Sun sensors, two of panels, three of the field.
+    """Residuals of the readings of n samples in an orbit, as functions of D unknowns in common and of the attitude of each sample.
 
-    The D unknowns: matrix less one (9), zero (3), offset, drift, five of each Sun sensor. Fields are in units of `unit_T`, readings
-    of them in their own. `precision` (D, D): of the unknowns before the data; `scatter` (3): noise of Sun sensors and of panels
-    over their sigmas, and of the field.
+    A sample has R residuals: two of each of F Sun sensors, two of the panels, three of the field. The unknowns are M by rows (9),
+    zero (3), along-track offset, drift, and five of each Sun sensor. The predicted field is in units of `unit_T` (T), and
+    `readings.field` in a unit in which M is small. `precision` (D, D): inverse covariance of the unknowns before the data.
+    `scatter` (3): noise of Sun sensors and of panels as factors on stated sigmas, and of the field in the unit of its readings.
     """
 
     vehicle: Vehicle
@@ -107,27 +101,30 @@ class OrbitModel:
 
     @cached_property
     def kinds(self) -> np.ndarray:
-        """Index (R) of each residual's noise in `scatter`."""
+        """Index (R) of each residual's kind of sensor in `scatter`: Sun sensors, panels, magnetometer."""
         return np.repeat([0, 1, 2], [2 * len(self.vehicle.sensors.sun_sensors), 2, 3])
 
     @cached_property
     def was_read(self) -> np.ndarray:
-        """True (n, R) for the residuals of readings."""
-        r = self.readings
-        parts = [r.angle.reshape(len(r.t_s), -1), r.panel_sun[:, :2], r.field]
+        """True (n, R) for the residuals whose reading is there."""
+        readings = self.readings
+        angles = readings.angle.reshape(len(readings.t_s), -1)
+        # both residuals of the panels need the direction: two of its components stand for it
+        parts = [angles, readings.panel_sun[:, :2], readings.field]
         return np.isfinite(np.concatenate(parts, axis=1))
 
     @cached_property
     def conditions(self) -> np.ndarray:
         """Number (n) of conditions that a sample puts on the unknowns: its readings less what its attitude takes up."""
         has_sun, count = self.was_read[:, :-3].any(axis=1), self.was_read.sum(axis=1)
-        # one direction determines two angles of the attitude, two directions all three
+        # one direction determines two of the attitude's three angles, two directions all three
         return np.maximum(count - np.where(has_sun & self.readings.has_field, 3, 2), 0)
 
-    def residuals(self, unknown: np.ndarray, attitude: np.ndarray) -> Residuals:
-        """Return the residuals at attitudes (n, 3, 3): predicted less read, in sigmas.
+    def residuals(self, unknown: np.ndarray, attitude: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the residuals (n, R) at unknowns (D) and attitudes (n, 3, 3), and their derivatives (n, R, 3) by a rotation.
 
-        A rotation t of the body moves a vector v by v x t.
+        They are predicted less read, in sigmas, and 0 if not read. A small rotation t of the body changes the components v of a
+        fixed vector by v x t.
         """
         sun, field = self._predicted_vectors(unknown, attitude)
         n, readings = len(sun), self.readings
@@ -138,7 +135,7 @@ class OrbitModel:
         sensors = ((scale * true_angle + bias - readings.angle) / sigma).reshape(n, -1)
         sensors_by_sun = ((scale / sigma)[..., None] * angle_by_sun).reshape(n, -1, 3)
 
-        # panels: the predicted Sun's two components across the measured direction, zero if both agree
+        # panels: the two components of the predicted Sun across the measured direction, which are zero if both agree
         measured = np.isfinite(readings.panel_sun)
         direction = np.where(measured, readings.panel_sun, ANY_DIRECTION)
         across = np.stack(tangent_basis(direction), axis=1)
@@ -155,32 +152,29 @@ class OrbitModel:
         sensors_by_turn = sensors_by_sun @ cross_matrix(sun)
         by_turn = np.concatenate([sensors_by_turn, panels_by_turn, magnetometer_by_turn], axis=1)
         was_read = self.was_read
-        return Residuals(
-            np.where(was_read, value, 0.0), np.where(was_read[..., None], by_turn, 0.0)
-        )
+        return np.where(was_read, value, 0.0), np.where(was_read[..., None], by_turn, 0.0)
 
     def by_unknowns(self, unknown: np.ndarray, attitude: np.ndarray) -> np.ndarray:
-        """Return the derivatives (n, R, D) of the residuals by the unknowns, at fixed attitudes (n, 3, 3)."""
+        """Return the derivatives (n, R, D) of the residuals by the unknowns (D), at fixed attitudes (n, 3, 3); 0 for the panels."""
         sun, field = self._predicted_vectors(unknown, attitude)
-        slope = np.zeros(
-            (len(sun), len(self.kinds), len(unknown))
-        )  # directions of panels have none
-        # each angle of a sensor (n, F, 2) has a bias and a scale of its own
+        slope = np.zeros((len(sun), len(self.kinds), len(unknown)))
+        # each angle of a Sun sensor (n, F, 2) has a bias and a scale of its own
         sigma, (true_angle, _) = self._sensor_sigma, self._sensor_angles(sun)
-        sample, sensor, side = np.indices(true_angle.shape)
-        residual = 2 * sensor + side
-        bias_index = SENSORS + PER_SENSOR * sensor + side
+        sample, sensor, axis = np.indices(true_angle.shape)
+        residual = 2 * sensor + axis
+        bias_index = FIRST_SENSOR + PER_SENSOR * sensor + axis
         slope[sample, residual, bias_index] = 1 / sigma
         slope[sample, residual, self._scale_index] = true_angle / sigma
 
-        # the last three residuals are (1 + M) attitude field_N(offset + drift days) + zero
-        magnetometer = slope[:, -3:]  # a view
+        # the last three residuals are (1 + M) attitude field_in_space(offset + drift days) + zero - reading
+        magnetometer = slope[:, -3:]  # a view: what is written there is in `slope`
         for i in range(3):
             row_of_matrix = slice(3 * i, 3 * i + 3)
             magnetometer[:, i, row_of_matrix] = field
             magnetometer[:, i, ZERO.start + i] = 1.0
         matrix = np.eye(3) + unknown[MATRIX].reshape(3, 3)
         _, field_by_shift = self.sky.field_at(unknown[SHIFT], unknown[DRIFT])
+        # (1 + M) attitude (derivative of the field by the offset)
         by_shift = np.einsum("ij,njk,nk->ni", matrix, attitude, field_by_shift / self.unit_T)
         magnetometer[:, :, SHIFT] = by_shift
         magnetometer[:, :, DRIFT] = by_shift * self.sky.days[:, None]
@@ -190,18 +184,19 @@ class OrbitModel:
     def project_out_attitudes(
         self, unknown: np.ndarray, attitude: np.ndarray
     ) -> ProjectedResiduals:
-        """Return the best attitudes near these (n, 3, 3) at fixed unknowns (D), and the residuals there.
+        """Return the residuals at the best attitudes for fixed unknowns (D), which are sought from `attitude` (n, 3, 3) on.
 
         Each sample is fitted on its own, by Gauss-Newton steps.
         """
         for _ in range(ATTITUDE_STEPS):
             value, by_turn = self.residuals(unknown, attitude)
-            gradient = np.einsum("nri,nr->ni", by_turn, value)
+            gradient = np.einsum("nri,nr->ni", by_turn, value)  # J^T r of each sample
             turn = np.linalg.solve(_attitude_information(by_turn), gradient[..., None])
+            # no step rotates by more than 0.5 rad about an axis
             attitude = rotate_attitude(attitude, np.clip(-turn[..., 0], -0.5, 0.5))
         value, by_turn = self.residuals(unknown, attitude)
         # With J = by_turn, a change r of the residuals by the unknowns rotates the best attitude by -(J^T J)^-1 J^T r. That changes
-        # the residuals by -J (J^T J)^-1 J^T r, whose diagonal is the leverage of the attitude.
+        # the residuals by -J (J^T J)^-1 J^T r. The diagonal of J (J^T J)^-1 J^T is the leverage of the attitude.
         inverse = np.linalg.solve(_attitude_information(by_turn), np.swapaxes(by_turn, -1, -2))
         slope = self.by_unknowns(unknown, attitude)
         slope = slope - by_turn @ (inverse @ slope)
@@ -209,19 +204,19 @@ class OrbitModel:
         return ProjectedResiduals(attitude, value, slope, leverage)
 
     def weights(self, value: np.ndarray) -> np.ndarray:
-        """Return the weight of each sample (n) by its residuals (n, R) under Student's law."""
+        """Return the weight of each sample (n) by its residuals (n, R): all of a sample follow one Student's law, multivariate."""
         return (STUDENT + self.conditions) / (STUDENT + (value**2).sum(axis=1))
 
     def linearise(self, state: OrbitState) -> DenseSystem:
         """Return the normal equations of minus the log posterior of the unknowns, the attitudes projected out.
 
-        `extras` of the system are the best attitudes, at which the next step begins.
+        `extras` of the system are the best attitudes, from which those of the next step are sought.
         """
         unknown = state.unknown[0]
         best = self.project_out_attitudes(unknown, state.attitude[0])
         weight = self.weights(best.value)
         gradient = self.precision @ unknown + self.gradients(best).sum(axis=0)
-        # the prior, Student's law, and the normalisation by the scatter of each reading
+        # the prior, Student's law, and the log of each reading's noise, which its density is divided by
         freedom, square = STUDENT + self.conditions, (best.value**2).sum(axis=1)
         cost = unknown @ self.precision @ unknown / 2
         cost += (freedom / 2 * np.log1p(square / STUDENT)).sum()
@@ -232,11 +227,11 @@ class OrbitModel:
         )
 
     def gradients(self, best: ProjectedResiduals) -> np.ndarray:
-        """Return the gradient (n, D) of each sample's cost."""
+        """Return the gradient (n, D) of each sample's cost by the unknowns: weight slope^T residuals."""
         return self.weights(best.value)[:, None] * np.einsum("nrd,nr->nd", best.slope, best.value)
 
     def fit_with_scatter(self, state: OrbitState, rounds: int) -> tuple[OrbitModel, OrbitState]:
-        """Return the model with fitted noise, and the fitted unknowns, in at most `rounds` alternations of the two."""
+        """Return the model with fitted noise (`scatter`), and the fitted state, after at most `rounds` alternations of the two."""
         model = self
         for _ in range(rounds):
             solution = least_squares(
@@ -246,24 +241,27 @@ class OrbitModel:
                 state,
                 steps=STEPS,
                 tolerance=TOLERANCE,
+                # each step begins at the best attitudes of the one before
                 carry=lambda state, system: state._replace(attitude=system.extras[0]),
             )
             state = solution.state._replace(attitude=solution.system.extras[0])
-            before, model = model.scatter, model.with_fitted_scatter(state)
-            if np.allclose(model.scatter, before, rtol=STEADY):
+            scatter_before, model = model.scatter, model.with_fitted_scatter(state)
+            if np.allclose(model.scatter, scatter_before, rtol=STEADY):
                 break
         return model, state
 
     def with_fitted_scatter(self, state: OrbitState) -> OrbitModel:
         """Return the model with the likeliest noise of each kind of sensor: weighted squares over their degrees of freedom.
 
-        A residual has one degree of freedom, less its leverage in the fits of its attitude and of the unknowns.
+        A residual has one degree of freedom, less its leverages in the fits of its attitude and of the unknowns. With three degrees
+        or less the noise of a kind stays as it was.
         """
         best = self.project_out_attitudes(state.unknown[0], state.attitude[0])
         weight = self.weights(best.value)
         covariance = np.linalg.inv(self.precision + summed_information(weight, best.slope))
-        by_unknowns = weight[:, None] * ((best.slope @ covariance) * best.slope).sum(axis=2)
-        freedom = np.where(self.was_read, 1 - best.leverage - by_unknowns, 0.0)
+        # the leverage of the unknowns: the diagonal of weight slope covariance slope^T
+        of_unknowns = weight[:, None] * ((best.slope @ covariance) * best.slope).sum(axis=2)
+        freedom = np.where(self.was_read, 1 - best.leverage - of_unknowns, 0.0)
         scatter = []
         for k, old in enumerate(self.scatter):
             of_kind = self.kinds == k
@@ -276,7 +274,7 @@ class OrbitModel:
         return replace(self, scatter=tuple(scatter))
 
     def unknowns_of_file(self, unknown: np.ndarray) -> np.ndarray:
-        """Return the unknowns (D) by which sensors are as the vehicle file states, at the offset and drift of `unknown`.
+        """Return the unknowns (D) of sensors that are as the vehicle file states, at the offset and drift of `unknown` (D).
 
         Only the magnetometer's scale is the one that fits best, as a file may state readings in any unit.
         """
@@ -289,28 +287,29 @@ class OrbitModel:
         return stated
 
     def median_residuals(self, unknown: np.ndarray) -> tuple[float, float]:
-        """Return the median residuals of the field's strength (T) and of its angle to the Sun (rad)."""
-        field_N, _ = self.sky.field_at(unknown[SHIFT], unknown[DRIFT])
-        toward = (field_N * self.sky.sun).sum(axis=1)
+        """Return the median residuals of the field's strength (T) and of its angle to the Sun (rad) at unknowns (D)."""
+        true_field, _ = self.sky.field_at(unknown[SHIFT], unknown[DRIFT])
+        toward = (true_field * self.sky.sun).sum(axis=1)
         unused = toward[None]  # in place of the light
-        predicted = Predicted(np.linalg.norm(field_N, axis=1)[None], toward[None], unused)
+        predicted = Predicted(np.linalg.norm(true_field, axis=1)[None], toward[None], unused)
         inverse = np.linalg.inv(np.eye(3) + unknown[MATRIX].reshape(3, 3))
         field = (self.readings.field - unknown[ZERO]) @ inverse.T * self.unit_T
         return median_residuals(field, self._measured_sun(unknown), predicted)
 
     def triad_attitudes(self, unknown: np.ndarray) -> np.ndarray:
-        """Return attitudes (n, 3, 3) at which a fit begins, from two vectors (TRIAD): the field exactly, the Sun as near as
-        possible.
+        """Return attitudes (n, 3, 3) from which a fit begins: the field is as read, and the Sun as near as possible (TRIAD).
 
-        Three axes made of both vectors are known in the body and in space, which gives the attitude.
+        Three axes made of both vectors are known in the body and in Earth-fixed axes, which gives the attitude. `unknown` (D): by
+        which the readings are calibrated.
         """
         inverse = np.linalg.inv(np.eye(3) + unknown[MATRIX].reshape(3, 3))
         field_B = np.nan_to_num((self.readings.field - unknown[ZERO]) @ inverse.T)
         sun_B = np.nan_to_num(self._measured_sun(unknown))
-        field_N, _ = self.sky.field_at(unknown[SHIFT], unknown[DRIFT])
+        true_field, _ = self.sky.field_at(unknown[SHIFT], unknown[DRIFT])
+        # vectors that were not read are zero in both frames
         has_sun = (sun_B != 0).any(axis=1, keepdims=True)
-        in_N = _triad(field_N * self.readings.has_field[:, None], self.sky.sun * has_sun)
-        return _triad(field_B, sun_B) @ np.swapaxes(in_N, -1, -2)
+        in_space = _triad(true_field * self.readings.has_field[:, None], self.sky.sun * has_sun)
+        return _triad(field_B, sun_B) @ np.swapaxes(in_space, -1, -2)
 
     def _measured_sun(self, unknown: np.ndarray) -> np.ndarray:
         """Return the mean unit direction to the Sun (n, 3) by panels and Sun sensors; NaN where none shows it.
@@ -325,6 +324,7 @@ class OrbitModel:
             known = np.isfinite(angle[..., 0])
             # the tangents of a sensor's angles are the Sun's components x and y over that along the normal
             tangent = np.tan(np.nan_to_num(angle))
+            # normal + tan(x angle) x axis + tan(y angle) y axis
             direction = self._axes[:, 2] + np.einsum("nfs,fsi->nfi", tangent, self._axes[:, :2])
             direction /= np.linalg.norm(direction, axis=2, keepdims=True)
             weight = known / np.array([sensor.x_sigma_rad for sensor in sensors]) ** 2
@@ -347,35 +347,35 @@ class OrbitModel:
 
     @cached_property
     def _scale_index(self) -> np.ndarray:
-        """Indices (n, F, 2) of the scales of each angle among the unknowns: a rotated sensor has another one for y."""
+        """Indices (n, F, 2) of the scales of each angle among the unknowns: y has another one if its reading wraps."""
         turned = self.readings.y_turned
-        first = SENSORS + PER_SENSOR * np.arange(turned.shape[1])
+        first = FIRST_SENSOR + PER_SENSOR * np.arange(turned.shape[1])
         x_scale, y_scale = np.broadcast_to(first + 2, turned.shape), first + 3 + turned
         return np.stack([x_scale, y_scale], axis=2)
 
     def _scale_and_bias(self, unknown: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return scale (n, F, 2) and bias (F, 2) of each angle of the Sun sensors."""
-        bias = unknown[SENSORS:].reshape(-1, PER_SENSOR)[:, :2]
+        bias = unknown[FIRST_SENSOR:].reshape(-1, PER_SENSOR)[:, :2]
         return 1 + unknown[self._scale_index], bias
 
     def _predicted_vectors(
         self, unknown: np.ndarray, attitude: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
         """Return the predicted directions to the Sun (n, 3) and fields (n, 3) in body axes, the latter in units of `unit_T`."""
-        field_N, _ = self.sky.field_at(unknown[SHIFT], unknown[DRIFT])
+        true_field, _ = self.sky.field_at(unknown[SHIFT], unknown[DRIFT])
         sun_B = np.einsum("nij,nj->ni", attitude, self.sky.sun)
-        return sun_B, np.einsum("nij,nj->ni", attitude, field_N) / self.unit_T
+        return sun_B, np.einsum("nij,nj->ni", attitude, true_field) / self.unit_T
 
     def _sensor_angles(self, sun: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the true angles (n, F, 2) of directions to the Sun (n, 3) at each sensor, and derivatives (n, F, 2, 3) by these.
+        """Return the x and y angles (n, F, 2) of Sun directions (n, 3), body axes, at each Sun sensor, and derivatives by these.
 
-        With the Sun's component a across the sensor and b along its normal the angle is arctan(a / b). It changes by
-        (b da - a db) / (a^2 + b^2).
+        With the Sun's component a along the x (or y) axis of the sensor and b along its normal the angle is arctan(a / b). It
+        changes by (b da - a db) / (a^2 + b^2), which gives derivatives (n, F, 2, 3).
         """
         component = np.einsum("fsi,ni->nfs", self._axes, sun)
         a, b = component[..., :2], component[..., 2:]
-        across, normal = self._axes[:, :2], self._axes[:, 2:]
-        slope = b[..., None] * across - a[..., None] * normal
+        x_and_y, normal = self._axes[:, :2], self._axes[:, 2:]
+        slope = b[..., None] * x_and_y - a[..., None] * normal
         square = np.maximum(b**2 + a**2, 1e-6)
         return np.arctan2(a, b), slope / square[..., None]
 
@@ -398,6 +398,7 @@ def _triad(first: np.ndarray, second: np.ndarray) -> np.ndarray:
 
     A vector that is zero or parallel to the other one is replaced by an arbitrary one.
     """
+    # the added vector keeps `tangent_basis` finite if both vectors are zero
     is_known = (first != 0).any(axis=1, keepdims=True)
     first = np.where(is_known, first, tangent_basis(second + ANY_DIRECTION * 1e-9)[0])
     x = first / np.linalg.norm(first, axis=1, keepdims=True)

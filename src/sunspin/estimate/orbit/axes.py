@@ -1,4 +1,4 @@
-"""Which column of a magnetometer is which axis, by the angle between field and Sun along an orbit."""
+"""Test of a magnetometer's axes along an orbit: which order and signs of its columns give the right angle between field and Sun."""
 
 from __future__ import annotations
 
@@ -22,55 +22,52 @@ LARGEST_ANGLE_RAD = 0.15
 On simulated spinners whose panels get 10 to 30 % of the Earth's light it was 0.01 to 0.07 rad."""
 
 CLEARER = 0.5
-"""Other axes are named if their median residual is below this part of that of the stated axes, and of any others."""
+"""Other axes are named if their median residual is below this share of that of the stated axes, and of any others."""
 
 
 def better_axes(readings: Readings, predicted: Predicted, vehicle: Vehicle) -> ColumnChange | None:
-    """Return the change of a magnetometer's axes with which the angle between field and Sun is as predicted at the first offset.
+    """Return the change of a magnetometer's axes with which the angle between field and Sun is as predicted; None without one.
 
-    None if the axes of the file, or those of two changes, fit nearly as well, or if only the sign of all three is wrong, which the
-    check of the orbit reports. The strength of the field determines zero and matrix but for a rotation or a mirror, and the angle
-    then judges the axes.
+    None too if two changes fit nearly as well, or if only the sign of all three axes is wrong, which the check of the orbit
+    reports. The strength of the field determines zero and matrix but for a rotation or a mirror, and the angle then judges the
+    axes. `predicted`: at its first offset.
     """
     use = readings.has_field
     if readings.has_angle.sum() < FEWEST or vehicle.sensors.magnetometer is None:
         return None
     readings, predicted = readings.take(use), predicted.take(use).at([0])
-    _, state, scales = fit_magnetometer(readings.without_sun(), predicted)  # by the strength alone
-    field = calibrated_field(readings.field, scales.in_T(state.unknown)[0])
+    model, state = fit_magnetometer(readings.without_sun(), predicted)  # by the strength alone
+    field = calibrated_field(readings.field, model.calibration(state)[0])
     changes = changes_of_sensor(vehicle, "field_B")  # the first one keeps the axes of the file
-    angle = [field_sun_angles(field @ axes_matrix(change).T, readings.sun) for change in changes]
-    median = np.nanmedian(np.abs(np.array(angle) - predicted.angles()), axis=1)
-    best, second = np.argsort(median)[:2]
-    if np.array_equal(axes_matrix(changes[best]), -np.eye(3)):
+    matrices = [change.axes["field_B"] for change in changes]
+    angles = np.array([field_sun_angles(field @ axes.T, readings.sun) for axes in matrices])
+    residuals = np.nanmedian(np.abs(angles - predicted.angles()), axis=1)
+    best, second = np.argsort(residuals)[:2]
+    if np.array_equal(matrices[best], -np.eye(3)):
         return None
-    is_clear = median[best] < min(CLEARER * min(median[0], median[second]), LARGEST_ANGLE_RAD)
-    return changes[best] if is_clear else None
-
-
-def axes_matrix(change: ColumnChange) -> np.ndarray:
-    """Return the matrix (3, 3) by which a change of axes multiplies the readings of the field."""
-    return change.axes["field_B"]
+    limit = min(CLEARER * min(residuals[0], residuals[second]), LARGEST_ANGLE_RAD)
+    return changes[best] if residuals[best] < limit else None
 
 
 def contradicted(readings: Readings, predicted: Predicted, calibration: np.ndarray) -> bool:
-    """Return whether the median angle between field and Sun differs from the prediction at the first offset.
+    """Return whether the angle between field and Sun differs from the prediction, in the median over the samples.
 
     The allowed difference includes the stated errors of the Sun directions. False with fewer than `FEWEST` samples that show the
-    angle. `calibration` (12): matrix and zero of the magnetometer.
+    angle. `predicted`: at its first offset. `calibration` (12): matrix and zero of the magnetometer.
     """
     field = calibrated_field(readings.field, calibration)
     difference = np.abs(field_sun_angles(field, readings.sun) - predicted.angles())
     known = np.isfinite(difference)
     if known.sum() < FEWEST:
         return False
+    # of each direction about an axis across it: the covariance has two such axes
     sun_sigma = np.sqrt(np.trace(readings.covariance[known], axis1=1, axis2=2) / 2)
     allowed = LARGEST_ANGLE_RAD + np.median(np.minimum(sun_sigma, LARGEST_ANGLE_RAD))
     return bool(np.median(difference[known]) > allowed)
 
 
 def axes_words(change: ColumnChange, assessment: Assessment) -> str:
-    """Return in words a result of :func:`better_axes`, how to correct the vehicle file, and which other changes look the same."""
+    """Return in words a result of :func:`better_axes`, how to correct the vehicle file, and exchanged panels that look the same."""
     vehicle, telemetry = assessment.vehicle, assessment.telemetry
     columns = column_changes(vehicle, telemetry)
     same = [other.what for other, _ in alike(Observed.of(vehicle, telemetry), change, columns)]

@@ -1,8 +1,8 @@
 """Magnetometer and Sun sensors calibrated along an orbit, for a whole file at once.
 
 The unknowns that all samples have in common are fitted with the attitudes projected out (:mod:`.attitudes`): matrix and zero of the
-magnetometer, the along-track offset and its drift, bias and scale of each Sun sensor. Each sample has Student tails, and the noise
-of each kind of sensor is estimated.
+magnetometer, the along-track offset and its drift, bias and scale of each Sun sensor. The residuals of a sample follow Student's
+law, and the noise of each kind of sensor is estimated.
 """
 
 from __future__ import annotations
@@ -16,15 +16,15 @@ from sunspin.environment.field import MODEL_SIGMA_T
 from sunspin.environment.orbit import Orbit, SunAlongZ
 from sunspin.estimate.orbit.attitudes import (
     DRIFT,
+    FIRST_SENSOR,
     PER_SENSOR,
     ROUNDS,
-    SENSORS,
     SHIFT,
     OrbitModel,
     OrbitState,
     summed_information,
 )
-from sunspin.estimate.orbit.axes import axes_matrix, better_axes
+from sunspin.estimate.orbit.axes import better_axes
 from sunspin.estimate.orbit.invariants import (
     ISOTROPIC,
     MATRIX,
@@ -44,13 +44,13 @@ from sunspin.vehicle import Vehicle
 from sunspin.vehicle.sensors import zero_sigmas
 
 SCALE_FREE = 3.0
-"""One sigma of the magnetometer's scale over the first one, which is free."""
+"""One sigma of the magnetometer's scale, relative to that at the start of a fit: it is nearly free."""
 
 BIAS_RAD, ANGLE_SCALE = 0.1, 0.2
-"""One sigma of a Sun sensor's bias, and of its scales over the stated ones, if the vehicle file states none."""
+"""One sigma of a Sun sensor's bias, and of its scales relative to the stated ones, if the vehicle file states none."""
 
 MOST_SAMPLES = 600
-"""Samples of a file by which sensors are calibrated, spread evenly."""
+"""Largest number of samples of a file by which sensors are calibrated, spread evenly."""
 
 FEWEST = 40
 """Conditions that samples must put on the unknowns before Sun sensors are calibrated with the magnetometer."""
@@ -60,16 +60,16 @@ REACH, STEP_S, MOST_STEPS = 4.0, 20.0, 24
 `MOST_STEPS` to each side would be needed."""
 
 FIRST_ROUNDS = 2
-"""Alternations of unknowns and noise before the readings get the unit of the whole fit."""
+"""Alternations of unknowns and noise in a first fit, which finds the unit of the readings for the second one."""
 
 WORSE = 1.3
-"""A fit whose median residual of the field's strength is larger than at its start by this factor has ended in another minimum."""
+"""Factor by which the median residual of the field's strength may grow in a fit: beyond, it has ended in another minimum."""
 
 FEWEST_PARTS = 6
-"""Least number of parts of a file that a jackknife leaves out in turn. The parts are passes, divided if there are fewer."""
+"""Least number of parts of a file that a jackknife leaves out in turn. The parts are passes, or pieces of them if these are few."""
 
 STUDENT_SCALE = 0.83
-"""Scale of Student's law with four degrees of freedom that fits normal noise of one sigma."""
+"""Scale that a fit of Student's law with four degrees of freedom gives to normal noise of one sigma."""
 
 SUN_TURNED_RAD = 0.01
 """Error about each axis, rad, that all directions to the Sun from panels have in common. The axes of a spinner whose panels saw the
@@ -80,13 +80,13 @@ MAGNETOMETER = slice(0, 13)
 """Unknowns of the magnetometer in an orbit: matrix, zero, and along-track offset."""
 
 SUN_KEYS = ("x_bias_rad", "y_bias_rad", "x_scale", "y_scale", "y_turned_scale")
-"""Keys of a Sun sensor in the order of its unknowns: bias in rad, and scale over the stated one."""
+"""Keys of a Sun sensor in the vehicle file, in the order of its unknowns: biases in rad, and scales relative to the stated ones."""
 
 
 class CalibrationStart(NamedTuple):
-    """Where a fit begins: field (T) = `matrix` reading - `zero_T`, `shift_s` ahead of the orbit.
+    """Start of a fit: a magnetometer with field (T) = `matrix` reading - `zero_T`, and the along-track offset `shift_s`.
 
-    `residual_T`: the median residual of the field's strength there.
+    The offset is in addition to the orbit's own. `residual_T`: median residual of the field's strength at the start.
     """
 
     matrix: np.ndarray
@@ -97,17 +97,16 @@ class CalibrationStart(NamedTuple):
 
 @dataclass(frozen=True)
 class FieldCalibration:
-    """A magnetometer along an orbit: field in T = `matrix` reading - `zero`.
+    """A magnetometer calibrated along an orbit: field in T = `matrix` (3, 3) reading - `zero` (3).
 
-    `errors` (13, 13): one sigma of each independent error, a row each: nine elements of the matrix by rows, the zero, and the
-    place along the track in sigmas of the orbit's. `noise_T`: of a component; `scale`: T for a unit of a reading.
+    `errors` (13, 13): root of the covariance. Row e is one sigma of the independent error e: of the matrix by rows (9), the zero
+    (3), and the place along the track in sigmas of the orbit's offset. `noise_T`: of a component.
     """
 
     matrix: np.ndarray
     zero: np.ndarray
     errors: np.ndarray
     noise_T: float
-    scale: float
 
     def field(self, reading: np.ndarray) -> np.ndarray:
         """Return fields (n, 3) in T of readings (n, 3)."""
@@ -115,6 +114,7 @@ class FieldCalibration:
 
     def reading_errors(self, reading: np.ndarray) -> np.ndarray:
         """Return the change (n, 13, 3), in T, of the calibrated fields of readings (n, 3) by one sigma of each error."""
+        # change of the matrix by error e, times reading n
         by_matrix = np.einsum("eij,nj->nei", self.errors[:, MATRIX].reshape(-1, 3, 3), reading)
         return by_matrix - self.errors[None, :, ZERO]
 
@@ -123,23 +123,22 @@ class FieldCalibration:
 
         `field_along_N` (n, 3): change of the field by one sigma along the track, T.
         """
-        # (13, 1): how far each error moves the place along the track, in sigmas
-        by_error = self.errors[:, SHIFT:]
-        return by_error * field_along_N[:, None]
+        sigmas_along = self.errors[:, SHIFT:]  # (13, 1): how far each error moves the satellite
+        return sigmas_along * field_along_N[:, None]
 
     def sigma_T(
         self, reading: np.ndarray, field_N: np.ndarray, field_along_N: np.ndarray
     ) -> np.ndarray:
         """Return one sigma (n), in T, of each component of the calibrated fields of readings (n, 3).
 
-        The strength can be compared without an attitude. A field whose strength differs from the orbit's by more than the errors
-        of this calibration explain gets a larger sigma. `field_N` (n, 3): the orbit's field, T; `field_along_N` (n, 3): its change
-        by one sigma along the track.
+        It is that of the noise, or larger if the strength of the field, which needs no attitude, differs from the orbit's by more
+        than the errors of this calibration explain. `field_N` (n, 3): the orbit's field, T; `field_along_N` (n, 3): its change by
+        one sigma along the track.
         """
         field = self.field(reading)
         read_strength, strength = (np.linalg.norm(part, axis=1) for part in (field, field_N))
         read_unit, unit = field / read_strength[:, None], field_N / strength[:, None]
-        # change (n, e) of either strength by one sigma of each error
+        # change (n, 13) of either strength by one sigma of each error
         by_reading = np.einsum("nei,ni->ne", self.reading_errors(reading), read_unit)
         by_orbit = np.einsum("nei,ni->ne", self.orbit_errors(field_along_N), unit)
         noise = np.hypot(self.noise_T, MODEL_SIGMA_T)
@@ -147,7 +146,7 @@ class FieldCalibration:
         return noise * np.fmax(np.abs(read_strength - strength) / expected, 1.0)
 
     def with_axes(self, axes: np.ndarray) -> FieldCalibration:
-        """Return the calibration for readings that become those of this calibration if they are multiplied by `axes` (3, 3)."""
+        """Return the calibration for readings in other axes: `axes` (3, 3) takes them to those of this calibration."""
         errors = self.errors.copy()
         errors[:, MATRIX] = (errors[:, MATRIX].reshape(-1, 3, 3) @ axes).reshape(-1, 9)
         return replace(self, matrix=self.matrix @ axes, errors=errors)
@@ -157,16 +156,17 @@ class FieldCalibration:
 class Calibration:
     """Sensors fitted along an orbit, relative to the vehicle file with which the telemetry was read.
 
-    `values` (D) of all unknowns, with their covariances (D, D): `model` by the curvature, `robust` by leaving out each pass
-    (jackknife), and `prior`. In the fit fields are in units of `unit_T` (T), and readings in units of `unit` (in their own unit).
-    `sensors`: number of Sun sensors. `noise_T` of a component of the field; `sun_noise` in units of the stated sigmas. `strength`
-    (2) and `angle` (2): median residuals in T and rad, before and after. `samples`: how many show field, Sun, or both, and in how
-    many passes.
+    `values` (D) of all unknowns (:class:`.attitudes.OrbitModel`), with three covariances (D, D): `by_curvature` of the posterior,
+    `by_jackknife` over parts of the file, and `prior`. In the fit fields are in units of `unit_T` (T), and readings in units of
+    `unit` (in their own unit). `sensors`: number F of Sun sensors. `noise_T`: of a component of the field; `sun_noise`: of the
+    angles, as a factor on the stated sigmas. `strength` (2) and `angle` (2): median residuals of the field's strength (T) and of
+    its angle to the Sun (rad), by the vehicle file and by the fit. `samples`: how many show field, Sun, or both, and how many
+    passes.
     """
 
     values: np.ndarray
-    model: np.ndarray
-    robust: np.ndarray
+    by_curvature: np.ndarray
+    by_jackknife: np.ndarray
     prior: np.ndarray
     unit_T: float
     unit: float
@@ -179,12 +179,12 @@ class Calibration:
 
     @property
     def matrix_T(self) -> np.ndarray:
-        """Matrix (3, 3): field in T = matrix (reading - zero)."""
+        """Matrix (3, 3): field in T = matrix (reading - zero). The fit has reading = (1 + M) field + zero."""
         return np.linalg.inv(np.eye(3) + self.values[MATRIX].reshape(3, 3)) * self.scale_T
 
     @property
     def scale_T(self) -> float:
-        """T for a unit of a reading, before the fit."""
+        """Scale with which the fit began: T for a unit of a reading."""
         return self.unit_T / self.unit
 
     @property
@@ -195,8 +195,8 @@ class Calibration:
     @property
     def covariance(self) -> np.ndarray:
         """Covariance (D, D) by the curvature, each sigma widened to the one by the jackknife if that is larger."""
-        wider = np.sqrt(np.maximum(np.diag(self.robust) / np.diag(self.model), 1.0))
-        return self.model * np.outer(wider, wider)
+        widened = np.sqrt(np.maximum(np.diag(self.by_jackknife) / np.diag(self.by_curvature), 1.0))
+        return self.by_curvature * np.outer(widened, widened)
 
     @property
     def shift_s(self) -> float:
@@ -221,39 +221,41 @@ class Calibration:
     @property
     def bias(self) -> np.ndarray:
         """Bias (F, 2) of each Sun sensor's angles, rad: true angle = (angle - bias) / scale."""
-        return self.values[SENSORS:].reshape(self.sensors, PER_SENSOR)[:, :2]
+        return self.values[FIRST_SENSOR:].reshape(self.sensors, PER_SENSOR)[:, :2]
 
     @property
     def scale(self) -> np.ndarray:
-        """Scales (F, 3) of x, y and turned y of each Sun sensor over the stated ones."""
-        return 1 + self.values[SENSORS:].reshape(self.sensors, PER_SENSOR)[:, 2:]
+        """Scales (F, 3) of x, y and wrapped y of each Sun sensor, relative to the stated ones."""
+        return 1 + self.values[FIRST_SENSOR:].reshape(self.sensors, PER_SENSOR)[:, 2:]
 
     def covariance_of_sun_errors(self) -> np.ndarray:
-        """Return the covariance (9, 9) of the matrix, by rows, from errors that all Sun directions by panels have in common.
+        """Return the covariance (9, 9) of M, by rows, from errors that all Sun directions by panels have in common.
 
         Light of the Earth, and sides without a panel, rotate the Sun directions of a whole file by the same angle, and so the axes
         of a magnetometer that is calibrated by them. Neither the residuals nor the jackknife show it.
         """
-        axes = np.eye(3) + self.values[MATRIX].reshape(3, 3)
-        rotated = np.array([axes @ cross_matrix(axis) for axis in np.eye(3)]).reshape(3, 9)
+        matrix = np.eye(3) + self.values[MATRIX].reshape(3, 3)
+        # change of 1 + M by a small rotation about each axis
+        rotated = np.array([matrix @ cross_matrix(axis) for axis in np.eye(3)]).reshape(3, 9)
         return SUN_TURNED_RAD**2 * rotated.T @ rotated
 
     def magnetometer(self, shift_s: float, sigma_s: float) -> FieldCalibration:
-        """Return the calibration of the magnetometer for another offset along the track than the fitted one.
+        """Return the calibration of the magnetometer if the along-track offset is `shift_s` with the sigma `sigma_s`, both in s.
 
-        It is `shift_s` with the sigma `sigma_s`, both in s. The other unknowns follow the offset by their regression on it. Their
-        errors are propagated from the equation of the fit, reading = (1 + M) field + zero, to field = matrix reading - zero.
+        The other unknowns follow the offset by their regression on it. Their errors are propagated from the equation of the fit,
+        reading = (1 + M) field + zero, to field = matrix reading - zero.
         """
         covariance = self.covariance[MAGNETOMETER, MAGNETOMETER]
-        by_shift = covariance[:, SHIFT] / covariance[SHIFT, SHIFT]
+        by_shift = covariance[:, SHIFT] / covariance[SHIFT, SHIFT]  # slopes of the regression
         values = self.values.copy()
         values[MAGNETOMETER] += by_shift * (shift_s - self.shift_s)
         moved = replace(self, values=values)
         added_variance = sigma_s**2 - covariance[SHIFT, SHIFT]
         covariance = covariance + added_variance * np.outer(by_shift, by_shift)
-        if not self.sensors:
+        if not self.sensors:  # the Sun is known by panels
             covariance[MATRIX, MATRIX] += moved.covariance_of_sun_errors()
-        # matrix is the inverse of 1 + M, so that its change is -matrix dM matrix; by rows that is a Kronecker product
+        # Derivatives by M, zero and offset. matrix is the inverse of 1 + M but for its scale, so that its change is
+        # -matrix dM matrix / scale_T, by rows a Kronecker product; zero_T is the matrix times the zero.
         matrix, zero_T = moved.matrix_T, moved.matrix_T @ moved.zero
         slope = np.zeros((13, 13))
         slope[MATRIX, MATRIX] = -np.kron(matrix, matrix.T) / self.scale_T
@@ -261,7 +263,7 @@ class Calibration:
         slope[ZERO, ZERO] = self.unit * matrix
         slope[SHIFT, SHIFT] = 1 / sigma_s
         errors = (slope @ np.linalg.cholesky(covariance)).T
-        return FieldCalibration(matrix, zero_T, errors, self.noise_T / STUDENT_SCALE, self.scale_T)
+        return FieldCalibration(matrix, zero_T, errors, self.noise_T / STUDENT_SCALE)
 
 
 def calibrate_magnetometer(
@@ -269,11 +271,10 @@ def calibrate_magnetometer(
 ) -> FieldCalibration | None:
     """Return the calibration of a file's magnetometer along an orbit; None without an orbit or without readings.
 
-    `local`: the environment, in J2000 or in axes along the Sun. `known`: the fit of all sensors that the check of this orbit has
-    made, if any. With few readings the result is close to the priors, which are wide. The fit of the motion then estimates the
-    calibration further.
-
-    The magnetometer is fitted to strength and angle first, which needs no start, then with the attitudes projected out.
+    `local`: the environment, an `Orbit` or axes along the Sun in one. `known`: the fit of all sensors that the check of this orbit
+    has made, if any. With few readings the result is close to the priors, which are wide; the fit of the motion then estimates the
+    calibration further. First strength and angle are fitted, which needs no start, then all readings with the attitudes projected
+    out.
     """
     orbit = local.orbit if isinstance(local, SunAlongZ) else local
     if not isinstance(orbit, Orbit) or "field_B" not in assessment.telemetry:
@@ -290,10 +291,10 @@ def calibrate_magnetometer(
     change = None
     if "sun_sensor_angle" not in assessment.telemetry:
         change = better_axes(readings, predicted, vehicle)
-    axes = np.eye(3) if change is None else axes_matrix(change)
+    axes = np.eye(3) if change is None else change.axes["field_B"]
     readings = readings.with_axes(axes)
-    _, state, scales = fit_magnetometer(readings.take(use), predicted.take(use))
-    first = scales.in_T(state.unknown)[0]
+    model, state = fit_magnetometer(readings.take(use), predicted.take(use))
+    first = model.calibration(state)[0]
     field = calibrated_field(readings.field, first)
     residual_T, _ = median_residuals(field, readings.sun, predicted)
     start = CalibrationStart(first[MATRIX].reshape(3, 3), first[ZERO], residual_T=residual_T)
@@ -308,11 +309,11 @@ def calibrate_magnetometer(
 def calibrate_with_sun_sensors(
     orbit: Orbit, vehicle: Vehicle, readings: Readings, start: CalibrationStart
 ) -> Calibration | None:
-    """Return all sensors calibrated together, Sun sensors included.
+    """Return magnetometer and Sun sensors calibrated together from a start.
 
     None without Sun sensors, with too few samples that show field and Sun, or if the fit is clearly worse than its start.
     """
-    # the samples determine the field's strength, and some also its angle to the Sun
+    # each sample with a field puts a condition on its strength, and with a Sun another on the angle between both
     conditions = readings.has_field.sum() + (readings.has_field & readings.has_sun).sum()
     if not np.isfinite(readings.angle).any() or conditions < FEWEST:
         return None
@@ -321,12 +322,13 @@ def calibrate_with_sun_sensors(
 
 
 def priors(vehicle: Vehicle, readings: Readings, orbit: Orbit) -> np.ndarray:
-    """Return one sigma (D) of each unknown before the data: matrix (9), zero (3), offset, drift, and five of each Sun sensor.
+    """Return one sigma (D) of each unknown before the data: M (9), zero (3), offset, drift, and five of each Sun sensor.
 
     Sigmas are those that the vehicle file states, else those of this module. That of the zero is in the unit of the readings.
     """
     magnetometer, usual = vehicle.sensors.magnetometer, 1.0
     if magnetometer is not None and readings.has_field.any():
+        # the telemetry holds matrix (column - zero): the usual size of the columns themselves
         column = readings.field @ np.linalg.inv(magnetometer.matrix).T + magnetometer.zero
         usual = float(np.nanmedian(np.linalg.norm(column, axis=1)))
     zero = np.full(3, ZERO_SIGMA * usual)
@@ -336,7 +338,7 @@ def priors(vehicle: Vehicle, readings: Readings, orbit: Orbit) -> np.ndarray:
     sigmas = [np.full(9, MATRIX_SIGMA), zero, offset_and_drift]
     for sensor in vehicle.sensors.sun_sensors:
         sensor_sigma = np.repeat([BIAS_RAD, ANGLE_SCALE], [2, 3])
-        # biases as they are, scales over the stated ones
+        # biases in rad, scales relative to the stated ones
         unit = [1.0, 1.0, sensor.x_scale, sensor.y_scale, sensor.y_turned_scale]
         for k, key in enumerate(SUN_KEYS):
             fact = vehicle.facts.get(f"sun_sensor.{sensor.name}.{key}")
@@ -351,9 +353,9 @@ def fit_sensors(
 ) -> Calibration:
     """Return the sensors calibrated by these readings, with the along-track offset and its drift.
 
-    `start`: a calibration near the best one, such as that of :func:`.invariants.fit_magnetometer`, which needs no start itself.
-    `prior` (D): sigmas as of :func:`priors`.
+    `start`: near the best calibration, such as that of :func:`.invariants.fit_magnetometer`. `prior` (D): as of :func:`priors`.
     """
+    # the sky at offsets within REACH sigmas, among which the fit interpolates
     half = int(np.clip(np.ceil(REACH * prior[SHIFT] / STEP_S), 4, MOST_STEPS))
     shifts = REACH * prior[SHIFT] / half * np.arange(-half, half + 1)
     sky = Sky.along(orbit, readings.t_s, shifts)
@@ -369,7 +371,8 @@ def fit_sensors(
     unit_T = float(np.median(np.linalg.norm(sky.field_at(start.shift_s)[0], axis=1)))
 
     for rounds in (FIRST_ROUNDS, ROUNDS):
-        # The prior expects a matrix near one. So readings are in the unit that makes the determinant of the start's matrix one.
+        # The prior expects a small M. So readings are in the unit that makes the determinant of the start's matrix one. Then the
+        # start, field = matrix reading - zero_T, becomes reading = (1 + M) field + zero.
         unit = unit_T * abs(np.linalg.det(start.matrix)) ** (-1 / 3)
         inverse, unknown = np.linalg.inv(start.matrix), np.zeros(len(prior))
         unknown[MATRIX] = (inverse * unit_T / unit - np.eye(3)).ravel()
@@ -387,8 +390,8 @@ def fit_sensors(
 def _precision(prior: np.ndarray, unit: float) -> np.ndarray:
     """Return the inverse covariance (D, D) of the unknowns before the data; the scale of the matrix is hardly limited.
 
-    `prior` (D): sigmas, that of the zero in the unit of readings; `unit`: that of the readings in the fit. The scale is the mean of
-    the diagonal: along its direction among the nine elements the sigma is :data:`SCALE_FREE`.
+    `prior` (D): sigmas, that of the zero in the unit of readings; `unit`: of the readings in the fit, in that unit. The scale is
+    the mean of the diagonal: along its direction among the nine elements of M the sigma is :data:`SCALE_FREE`.
     """
     sigma = prior.copy()
     sigma[ZERO] /= unit
@@ -400,7 +403,7 @@ def _precision(prior: np.ndarray, unit: float) -> np.ndarray:
 
 
 def calibration_with_errors(model: OrbitModel, state: OrbitState, unit: float) -> Calibration:
-    """Return the result of a fit with its covariances; `unit`: that of its readings of the field.
+    """Return the calibration by a fitted model, with its covariances; `unit`: of the field's readings in the fit.
 
     The jackknife leaves out each part of the file in turn. At the minimum all gradients add to zero, so that without a part they
     add to minus its own: one Newton step with the curvature of the rest gives the change of the unknowns.
@@ -408,7 +411,7 @@ def calibration_with_errors(model: OrbitModel, state: OrbitState, unit: float) -
     unknown, readings = state.unknown[0], model.readings
     best = model.project_out_attitudes(unknown, state.attitude[0])
     gradients = model.gradients(best)
-    # expected weight of a sample under Student's law
+    # expected weight of a sample under Student's law, in place of the one by its residuals
     expected = (STUDENT + model.conditions) / (STUDENT + model.conditions + 2)
     information = model.precision + summed_information(expected, best.slope)
     covariance, part_of = np.linalg.inv(information), _parts_left_out(readings.pass_of)
@@ -417,17 +420,17 @@ def calibration_with_errors(model: OrbitModel, state: OrbitState, unit: float) -
         part = part_of == k
         rest = information - summed_information(expected[part], best.slope[part])
         steps.append(np.linalg.solve(rest, gradients[part].sum(axis=0)))
-    off = np.array(steps) - np.mean(steps, axis=0)
-    jackknife = (1 - 1 / len(off)) * off.T @ off
-    # the prior scatters as well, but no part of the file shows it
-    robust = jackknife + covariance @ model.precision @ covariance
+    deviation = np.array(steps) - np.mean(steps, axis=0)
+    jackknife = (1 - 1 / len(deviation)) * deviation.T @ deviation
+    # the prior has an error as well, which no part of the file shows
+    jackknife = jackknife + covariance @ model.precision @ covariance
     residuals = np.array(
         [model.median_residuals(model.unknowns_of_file(unknown)), model.median_residuals(unknown)]
     )
     return Calibration(
         values=unknown,
-        model=covariance,
-        robust=robust,
+        by_curvature=covariance,
+        by_jackknife=jackknife,
         prior=np.linalg.inv(model.precision),
         unit_T=model.unit_T,
         unit=unit,
@@ -446,13 +449,13 @@ def calibration_with_errors(model: OrbitModel, state: OrbitState, unit: float) -
 
 
 def _parts_left_out(pass_of: np.ndarray) -> np.ndarray:
-    """Return the number (n), from zero, of the part of a file that each sample is in: its pass, or a piece of it if there are few.
+    """Return the number (n), from zero, of the part of the file that a jackknife leaves out with each sample.
 
-    `pass_of` (n): number of the pass of each sample, in the order of time.
+    A part is a pass, or a piece of one if passes are fewer than `FEWEST_PARTS`. `pass_of` (n): the pass of each sample, in the
+    order of time.
     """
     _, passes, counts = np.unique(pass_of, return_inverse=True, return_counts=True)
-    pieces = -(-FEWEST_PARTS // len(counts))
-    # position of each sample in its pass
+    pieces = -(-FEWEST_PARTS // len(counts))  # of each pass, rounded up
     index_in_pass = np.arange(len(passes)) - np.searchsorted(passes, passes)
     piece = index_in_pass * pieces // counts[passes]
     return np.unique(passes * pieces + piece, return_inverse=True)[1]

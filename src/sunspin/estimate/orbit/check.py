@@ -1,10 +1,11 @@
-"""Is an orbit consistent with telemetry? A check that needs no attitude.
+"""Check of an orbit against telemetry that needs no attitude.
 
 Three things that a rotating body sees do not depend on its attitude: the strength of the magnetic field, its angle to the Sun, and
 whether the Sun is up. The orbit predicts them but for its along-track offset. Zero and matrix of the magnetometer are fitted with
-the offset, so that a poor calibration is no reason to refuse an orbit. The same is fitted to copies of the orbit with random node
-and phase. Right elements fit better than nearly all copies: their rank is the answer, and how clearly copies can differ from the
-orbit in these data says whether there is one. Clear Sun in the Earth's shadow refuses elements without a rank (:mod:`.shadow`).
+the offset, so that a poor calibration is no reason to refuse an orbit. The same is fitted to comparison orbits, which are copies of
+the orbit with random node and phase. Right elements fit better than nearly all copies, so their rank decides. If copies would often
+fit better by chance even against right elements, the data cannot decide. Clear Sun in the Earth's shadow refuses any
+(:mod:`.shadow`).
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ import xarray as xr
 from scipy.special import erfc
 
 from sunspin.environment.orbit import Orbit
-from sunspin.estimate.orbit.axes import axes_matrix, axes_words, better_axes, contradicted
+from sunspin.estimate.orbit.axes import axes_words, better_axes, contradicted
 from sunspin.estimate.orbit.calibration import (
     MOST_SAMPLES,
     Calibration,
@@ -53,14 +54,14 @@ class Verdict(Enum):
 
 @dataclass(frozen=True)
 class OrbitCheck:
-    """The answer of :func:`check_orbit`.
+    """Result of :func:`check_orbit`.
 
     `shift_s`: along-track offset at mid-file, with its drift and the sigmas of both; only Sun sensors determine the drift. `better`
-    of `copies` comparison orbits fit better, and `mistaken` are expected to by chance. With the node rotated by `turn_rad`
-    residuals are `turn_times` smaller. `samples`: how many show field, light, or the angle between field and Sun. Residuals are
-    medians. `eclipse`: samples that show the Sun in the predicted shadow, and all there. `matrix`, `zero`: field in T = matrix
-    reading - zero, None without a magnetometer. `border`: the offset is at the border of those tried. `clock_behind_s`: the clock
-    error with which refused elements would fit, else 0. `sign_turned`: the field with the opposite sign fits the Sun clearly
+    of `copies` comparison orbits fit better, and `better_by_chance` are expected to if the orbit is right. With the node rotated by
+    `node_rad` residuals are smaller by `node_factor`. `samples`: how many show field, light, or the angle between field and Sun.
+    Residuals are medians. `eclipse`: samples that show the Sun in the predicted shadow, and all there. `matrix`, `zero`: field in T
+    = matrix reading - zero, None without a magnetometer. `border`: the offset is at the border of those tried. `clock_behind_s`:
+    clock error with which refused elements would fit, else 0. `sign_turned`: the field with the opposite sign fits the Sun clearly
     better. `turned_axes`: other axes of the magnetometer with which its angle to the Sun fits, in words. `fitted_sensors`: the fit
     of all sensors, if there are Sun sensors. `sun_in_shadow`: samples with clear Sun that contradict the orbit at any offset within
     the prior.
@@ -71,9 +72,9 @@ class OrbitCheck:
     verdict: Verdict = Verdict.UNDECIDED
     better: int = 0
     copies: int = 0
-    mistaken: float = float(ORBIT.copies)
-    turn_rad: float = 0.0
-    turn_times: float = 1.0
+    better_by_chance: float = float(ORBIT.copies)
+    node_rad: float = 0.0
+    node_factor: float = 1.0
     samples: dict[str, int] = field(default_factory=dict)
     strength_residual_T: float = np.nan
     angle_residual_rad: float = np.nan
@@ -105,13 +106,14 @@ def check_orbit(
     seed: int = 0,
     settings: OrbitSettings = ORBIT,
 ) -> OrbitCheck:
-    """Rank an orbit among comparison orbits of random node and phase, by readings that do not depend on the attitude.
+    """Return whether an orbit is consistent with telemetry, and its along-track offset and magnetometer as fitted.
 
-    Each orbit is fitted at along-track offsets within three sigmas of their prior, whose density counts. `telemetry`: Dataset of
+    The orbit is ranked among comparison orbits of random node and phase, by readings that do not depend on the attitude. Each is
+    fitted at along-track offsets within three sigmas of their prior, whose density counts. `telemetry`: Dataset of
     `read_telemetry`, or its Assessment. `seed`: of the random orbits.
     """
-    s, assessment = settings, assess(vehicle, telemetry)
-    every = orbit_readings(assessment, s.samples)
+    assessment = assess(vehicle, telemetry)
+    every = orbit_readings(assessment, settings.samples)
     unchecked = OrbitCheck(
         orbit.shift_s,
         orbit.offset_sigma_s,
@@ -122,32 +124,22 @@ def check_orbit(
         return unchecked
     # a few angles between field and Sun are no reason to refuse an orbit
     readings = every if every.has_angle.sum() >= FEWEST else every.without_sun()
-    comparison = Comparison(readings, orbit.offset_sigma_s, s)
+    comparison = Comparison(readings, orbit.offset_sigma_s, settings)
     predicted = comparison.predicted(orbit)
     own = comparison.fit(predicted)
     change = None
     if "sun_sensor_angle" not in assessment.telemetry:
         change = better_axes(readings, predicted.at([own.best]), vehicle)
     if change is not None:  # from here on as if the vehicle file named these axes
-        comparison = replace(comparison, readings=readings.with_axes(axes_matrix(change)))
+        comparison = replace(comparison, readings=readings.with_axes(change.axes["field_B"]))
         own = comparison.fit(predicted)
     readings, at_best = comparison.readings, predicted.at([own.best])
     calibration = own.calibration[own.best]
 
-    # The verdict is by the rank among comparison orbits, unless there is too little to rank by. Sun in the shadow overrules it.
     rank = comparison.rank(orbit, own, predicted, seed)
-    enough = max(readings.has_field.sum(), np.isfinite(readings.light).sum()) >= FEWEST
-    verdict = Verdict.FITS
-    if rank.better > s.better or rank.turn_times > s.times:
-        verdict = Verdict.REFUSED
-    elif contradicted(readings, at_best, calibration):
-        verdict = Verdict.UNDECIDED
-    if not enough or rank.mistaken > s.mistaken:
-        verdict = Verdict.UNDECIDED
-    shadow = sun_in_shadow(orbit, assessment, s.span)
-    if shadow.samples:
-        verdict = Verdict.REFUSED
-
+    shadow = sun_in_shadow(orbit, assessment, settings.span)
+    angle_is_off = contradicted(readings, at_best, calibration)
+    verdict = _verdict(rank, readings, angle_is_off, bool(shadow.samples), settings)
     shift_s, shift_sigma_s, border = comparison.shift(orbit, own)
     in_shadow = np.isfinite(readings.light) & (predicted.lit[own.best] < 0.5)
     answer = replace(
@@ -156,17 +148,17 @@ def check_orbit(
         shift_sigma_s=shift_sigma_s,
         verdict=verdict,
         better=rank.better,
-        copies=s.copies,
-        mistaken=rank.mistaken,
-        turn_rad=rank.turn_rad,
-        turn_times=rank.turn_times,
+        copies=settings.copies,
+        better_by_chance=rank.better_by_chance,
+        node_rad=rank.node_rad,
+        node_factor=rank.node_factor,
         samples=_counts(readings),
         eclipse=(int((in_shadow & (readings.light != 0)).sum()), int(in_shadow.sum())),
         border=border,
         sun_in_shadow=shadow,
     )
     if np.isfinite(calibration).all():
-        # a field of the opposite sign must cost clearly less than this
+        # what a field of the opposite sign must cost clearly less than, without the prior of the offset
         lowest = rank.lowest if verdict is Verdict.REFUSED else float(own.cost.min())
         lowest -= float(comparison.prior(comparison.shifts)[own.best])
         answer = _with_magnetometer(answer, comparison, at_best, calibration, lowest)
@@ -174,28 +166,42 @@ def check_orbit(
             answer = _with_few_angles(answer, replace(comparison, readings=every), at_best)
     if change is not None and answer.matrix is not None and verdict is not Verdict.REFUSED:
         words = axes_words(change, assessment)
-        answer = replace(answer, matrix=answer.matrix @ axes_matrix(change), turned_axes=words)
+        answer = replace(answer, matrix=answer.matrix @ change.axes["field_B"], turned_axes=words)
     if verdict is Verdict.FITS:
         return _with_sun_sensors(answer, orbit, assessment)
     return replace(answer, clock_behind_s=comparison.clock_behind_s(orbit, rank.lowest))
 
 
 class Rank(NamedTuple):
-    """How an orbit compares with comparison orbits: the fields of :class:`OrbitCheck` of the same names.
-
-    `lowest`: the cost of the best of the orbit and its copies.
-    """
+    """Comparison of an orbit with its copies: fields of :class:`OrbitCheck`, and `lowest`, the cost of the best of all orbits."""
 
     better: int
-    mistaken: float
-    turn_rad: float
-    turn_times: float
+    better_by_chance: float
+    node_rad: float
+    node_factor: float
     lowest: float
+
+
+def _verdict(
+    rank: Rank, readings: Readings, angle_is_off: bool, sun_in_shadow: bool, settings: OrbitSettings
+) -> Verdict:
+    """Return the verdict by the rank of the orbit, if there is enough to rank by; clear Sun in the shadow refuses any orbit.
+
+    `angle_is_off`: the angle between field and Sun differs from the prediction, though no copy may fit better.
+    """
+    if sun_in_shadow:
+        return Verdict.REFUSED
+    enough = max(readings.has_field.sum(), np.isfinite(readings.light).sum()) >= FEWEST
+    if not enough or rank.better_by_chance > settings.mistaken:
+        return Verdict.UNDECIDED
+    if rank.better > settings.better or rank.node_factor > settings.times:
+        return Verdict.REFUSED
+    return Verdict.UNDECIDED if angle_is_off else Verdict.FITS
 
 
 @dataclass(frozen=True)
 class Comparison:
-    """Fits of any orbit to the same readings, at the same along-track offsets; `along_s`: their prior sigma, s."""
+    """Fits of several orbits to the same readings, at the same along-track offsets, whose prior sigma is `along_s` (s)."""
 
     readings: Readings
     along_s: float
@@ -203,17 +209,17 @@ class Comparison:
 
     @property
     def shifts(self) -> np.ndarray:
-        """Offsets (K) in s that are tried."""
+        """Offsets (K) in s that are tried, evenly spaced from -span to +span sigmas of their prior."""
         steps = np.ceil(self.settings.span * self.along_s / self.settings.step_s)
         half = int(np.clip(steps, 3, self.settings.most_steps // 2))
         return self.settings.span * self.along_s / half * np.arange(-half, half + 1)
 
     def prior(self, shifts: np.ndarray) -> np.ndarray:
-        """Return the cost (K) of offsets by their prior."""
+        """Return the cost (K) of offsets (K, s) by their prior, minus the log of a normal density."""
         return (shifts / self.along_s) ** 2 / 2
 
     def predicted(self, orbit: Orbit, node_rad: float = 0.0, phase_s: float = 0.0) -> Predicted:
-        """Return what an orbit, or a comparison orbit, predicts at every offset."""
+        """Return what an orbit, or a copy with its node rotated and its satellite `phase_s` ahead, predicts at every offset."""
         return Sky.along(orbit, self.readings.t_s, self.shifts, node_rad, phase_s).invariants()
 
     def fit(
@@ -223,11 +229,11 @@ class Comparison:
         readings: Readings | None = None,
         scatter: np.ndarray | None = None,
     ) -> OffsetFits:
-        """Return an orbit's fits at all offsets, with the magnetometer fitted at each.
+        """Return the fits of an orbit with these predictions at all offsets, with the magnetometer fitted at each.
 
-        `reach`: the lowest cost of a rival. If it is finite, every third offset is fitted first. If even the best of these costs
-        more than `reach + settings.near`, only these are returned: the orbit is too far behind to win. `readings`, `scatter`: in
-        place of the readings of the file and of their estimated noise.
+        `reach`: the lowest cost of a rival orbit. If it is finite, every third offset is fitted first. If even the best of these
+        costs more than `reach + settings.near`, only these are returned: the orbit is too far behind to win. `readings`, `scatter`
+        (2): in place of the readings of the file and of their estimated noise.
         """
         readings = self.readings if readings is None else readings
         prior = self.prior(self.shifts)
@@ -241,7 +247,7 @@ class Comparison:
     def rank(self, orbit: Orbit, own: OffsetFits, predicted: Predicted, seed: int) -> Rank:
         """Return how an orbit compares with copies of random node and phase, and with copies of which only the node differs.
 
-        `own`, `predicted`: its fits and its predictions at every offset.
+        `own`, `predicted`: fits and predictions of the orbit at every offset. `seed`: of the random copies.
         """
         rng, count = np.random.default_rng(seed), self.settings.copies
         nodes = rng.uniform(0, 2 * np.pi, count)
@@ -250,15 +256,16 @@ class Comparison:
         ranked = [self.fit(copy, reach=float(own.cost.min())) for copy in copies]
         better = sum(int(copy.cost.min() <= own.cost.min()) for copy in ranked)
         winner = min([own, *ranked], key=lambda fits: fits.cost.min())
-        mistaken = self.mistaken(predicted.at([own.best]), copies, winner)
-        return Rank(better, mistaken, *self.other_node(orbit, own), float(winner.cost.min()))
+        by_chance = self.better_copies(predicted.at([own.best]), copies, winner)
+        return Rank(better, by_chance, *self.other_node(orbit, own), float(winner.cost.min()))
 
-    def mistaken(self, right: Predicted, copies: list[Predicted], winner: OffsetFits) -> float:
+    def better_copies(self, right: Predicted, copies: list[Predicted], winner: OffsetFits) -> float:
         """Return the expected number of copies that would fit better by chance if the orbit were right.
 
         Noiseless readings are made from the predictions `right` of the orbit at one offset. For these a copy costs more than the
         orbit by D. With noise the difference is normal, of mean D and sigma sqrt(2 D). It is negative, so that the copy fits
-        better, with the probability erfc(sqrt(D) / 2) / 2. The noise is that of the fit of the best of all orbits, `winner`.
+        better, with the probability erfc(sqrt(D) / 2) / 2. `copies`: predictions of each copy. The noise is that of the fit of
+        the best of all orbits, `winner`.
         """
         scatter = np.minimum(winner.scatter[winner.best], self.settings.most_scatter)
         noiseless = noiseless_readings(self.readings, right, winner.calibration[winner.best])
@@ -268,9 +275,10 @@ class Comparison:
         return float((erfc(np.sqrt(higher) / 2) / 2).sum())
 
     def other_node(self, orbit: Orbit, own: OffsetFits) -> tuple[float, float]:
-        """Return the rotation of the node (rad) with which the orbit fits best, and how many times smaller residuals are then.
+        """Return the rotation of the node (rad) with which the orbit fits best, and by which factor residuals are smaller then.
 
-        That is (0, 1) if none fits better. N residuals that are all smaller by a factor lower the cost by N times its log.
+        They are (0, 1) if no other node fits better than the fits `own` of the orbit. N residuals that are all smaller by a factor
+        lower the cost by N times its log.
         """
         count = self.readings.has_field.sum()
         if count < FEWEST:
@@ -281,24 +289,23 @@ class Comparison:
         return (float(nodes[costs.argmin()]), float(np.exp(gain))) if gain > 0 else (0.0, 1.0)
 
     def clock_behind_s(self, orbit: Orbit, lowest: float) -> float:
-        """Return how far the clock is behind UTC, in s, if it is off by whole hours and the elements are right.
+        """Return by how many whole hours, in s, a clock behind UTC explains the readings with these elements; 0 if by none.
 
-        It is 0 unless this fits clearly better than the lowest cost of the orbit and all copies.
+        Such a clock must fit clearly better than `lowest`, the lowest cost of the orbit and all copies.
         """
-        clocks = 3600.0 * np.array(self.settings.hours)
-        others = [replace(orbit, clock_s=orbit.clock_s + clock) for clock in clocks]
-        costs = [self.fit(self.predicted(orbit), lowest).cost.min() for orbit in others]
-        return (
-            float(clocks[np.argmin(costs)]) if min(costs) < lowest - self.settings.clearly else 0.0
-        )
+        behind_s = 3600.0 * np.array(self.settings.hours)
+        shifted = [replace(orbit, clock_s=orbit.clock_s + clock_s) for clock_s in behind_s]
+        costs = [self.fit(self.predicted(other), lowest).cost.min() for other in shifted]
+        is_clear = min(costs) < lowest - self.settings.clearly
+        return float(behind_s[np.argmin(costs)]) if is_clear else 0.0
 
     def cost_of_opposite_field(self, at: Predicted) -> float:
-        """Return the cost of the field with the opposite sign at one offset, without the offset's prior."""
+        """Return the cost of readings with the field reversed, at the one offset of predictions, without the offset's prior."""
         opposite = self.readings._replace(field=-self.readings.field)
         return float(fit_at_offsets(opposite, at, np.zeros(1)).cost[0])
 
     def shift(self, orbit: Orbit, own: OffsetFits) -> tuple[float, float, bool]:
-        """Return the offset in addition to the orbit's own (s), its sigma, and whether it is at the border of what was tried.
+        """Return the offset in addition to the orbit's own (s), its sigma (s), and whether it is at the border of those tried.
 
         They are mean and sigma of the density exp(-cost) over all offsets. The sigma is at least that of a jackknife over parts of
         the file, as readings of one pass have errors in common. `own`: the fits at all offsets.
@@ -306,13 +313,14 @@ class Comparison:
         s, tried = self.settings, self.shifts
         step = tried[1] - tried[0]
         likely = tried[own.cost < own.cost.min() + s.deep]
+        # a finer grid over all offsets that are not far less probable than the best
         fine = np.linspace(likely.min() - step, likely.max() + step, s.fine)
         t_s = self.readings.t_s
         predicted = Sky.along(orbit, t_s, fine).invariants()
         cost = fit_at_offsets(self.readings, predicted, self.prior(fine)).cost
         mean, sigma = _moments(fine, cost)
         at_border = own.best < 2 or own.best > len(tried) - 3
-        if len(t_s) < s.blocks * FEWEST / 2:
+        if len(t_s) < s.blocks * FEWEST / 2:  # too few samples for a jackknife
             return mean, sigma, at_border
         near = mean + sigma * np.linspace(-3, 3, s.around)
         predicted = Sky.along(orbit, t_s, near).invariants()
@@ -330,8 +338,9 @@ class Comparison:
 def noiseless_readings(readings: Readings, right: Predicted, calibration: np.ndarray) -> Readings:
     """Return the readings as they would be without noise if the orbit were right at the one offset of the predictions.
 
-    The field gets the predicted strength and angle to the Sun, in the half plane of the Sun and the measured field. Samples in the
-    shadow are dark; the light of the others stays as it was read. `calibration` (12): matrix and zero of the magnetometer.
+    The field gets the predicted strength and angle to the Sun, in the half plane of the Sun and the measured field; without a Sun
+    it keeps its direction. Samples in the shadow are dark; the light of the others stays as it was read. `calibration` (12): matrix
+    and zero of the magnetometer, by which fields become readings.
     """
     dark = np.isfinite(readings.light) & (right.lit[0] < 0.5)
     readings = readings._replace(light=np.where(dark, 0.0, readings.light))
@@ -342,9 +351,7 @@ def noiseless_readings(readings: Readings, right: Predicted, calibration: np.nda
     across = read_unit - (read_unit * sun).sum(axis=1, keepdims=True) * sun
     across /= np.linalg.norm(across, axis=1, keepdims=True)
     strength = right.strength[0][:, None]
-    cosine = (
-        right.toward[0][:, None] / strength
-    )  # `toward`: the component of the field toward the Sun
+    cosine = right.toward[0][:, None] / strength  # of the angle between field and Sun
     unit = cosine * sun + np.sqrt(1 - cosine**2) * across  # NaN without a Sun
     field = strength * np.where(np.isfinite(unit), unit, read_unit)
     matrix = calibration[MATRIX].reshape(3, 3)
@@ -352,7 +359,7 @@ def noiseless_readings(readings: Readings, right: Predicted, calibration: np.nda
 
 
 def _counts(readings: Readings) -> dict[str, int]:
-    """Return how many samples show field, light, and the angle between field and Sun."""
+    """Return how many samples show the field, the light, and the angle between field and Sun."""
     shows = {
         "field": readings.has_field,
         "light": np.isfinite(readings.light),
@@ -370,8 +377,8 @@ def _with_magnetometer(
 ) -> OrbitCheck:
     """Return the answer with the magnetometer's calibration (12), its residuals, and whether its sign is the opposite one.
 
-    `at`: predictions at one offset. The sign is opposite in two cases: reversed readings cost clearly less than `lowest`; or the
-    fitted matrix itself reverses them, and without that the angle to the Sun fits much worse.
+    `at`: predictions at the best offset. The sign is opposite in two cases: reversed readings cost clearly less than `lowest`; or
+    the fitted matrix itself reverses them, and without that the angle to the Sun fits much worse.
     """
     readings = comparison.readings
     field = calibrated_field(readings.field, calibration)
@@ -394,13 +401,12 @@ def _with_magnetometer(
 def _with_few_angles(answer: OrbitCheck, comparison: Comparison, at: Predicted) -> OrbitCheck:
     """Return the answer with the residual of angles that are too few to judge an orbit, and with the sign that they show.
 
-    `comparison`: with all readings; `at`: predictions at one offset.
+    `comparison`: with all readings, angles included; `at`: predictions at the best offset.
     """
     readings = comparison.readings
     own = fit_at_offsets(readings, at, np.zeros(1))
-    opposite_is_better = (
-        comparison.cost_of_opposite_field(at) < own.cost[0] - comparison.settings.clearly
-    )
+    limit = own.cost[0] - comparison.settings.clearly
+    opposite_is_better = comparison.cost_of_opposite_field(at) < limit
     field = calibrated_field(readings.field, own.calibration[0])
     return replace(
         answer,
@@ -411,7 +417,7 @@ def _with_few_angles(answer: OrbitCheck, comparison: Comparison, at: Predicted) 
 
 
 def _with_sun_sensors(answer: OrbitCheck, orbit: Orbit, assessment: Assessment) -> OrbitCheck:
-    """Return the answer with offset and calibration of the fit of all sensors, if there are Sun sensors."""
+    """Return the answer with offset and calibration by a fit of magnetometer and Sun sensors together, if there are Sun sensors."""
     start = answer.start(orbit)
     if start is None or "sun_sensor_angle" not in assessment.telemetry:
         return answer

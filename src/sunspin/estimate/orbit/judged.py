@@ -1,4 +1,4 @@
-"""The orbit of a telemetry file, from a file of elements or from the vehicle file, with its along-track offset by the telemetry."""
+"""Orbit of a telemetry file, from a file of elements or from the vehicle file, and whether results may use it."""
 
 from __future__ import annotations
 
@@ -24,10 +24,10 @@ def orbit_sources(
     file: OrbitFile | Path | str | None = None,
     shift_sigma_s: float | None = None,
 ) -> tuple[Source, ...] | None:
-    """Return the element sets of a file (TLE, OMM), its table of positions (OEM, CSV, SPK), or else those of the vehicle file.
+    """Return the element sets (TLE, OMM) or tables of positions (OEM, CSV, SPK) of a file, else the elements of the vehicle file.
 
-    None without any. `shift_sigma_s` is only checked: a sigma of the offset (s) without elements raises InputError, as do elements
-    that cannot be used.
+    None without any. `shift_sigma_s`: sigma of the along-track offset (s) that the user gave. It is only checked: without elements
+    it raises InputError, as do elements that cannot be used.
     """
     if file is not None:
         return read_orbit(file)
@@ -45,7 +45,7 @@ def orbit_of(
     elements: OrbitFile | Path | str | None = None,
     shift_sigma_s: float | None = None,
 ) -> Orbit | None:
-    """Return the environment of a telemetry file by :func:`orbit_sources`; None without elements.
+    """Return the orbit of a telemetry file, by the elements of :func:`orbit_sources`; None without any.
 
     `shift_sigma_s`: sigma of the along-track offset in s, in place of that of the vehicle file; without either it follows from the
     age of the elements.
@@ -66,14 +66,14 @@ def orbit_of(
 
 
 def drift_words(check: OrbitCheck) -> str:
-    """Return in words how the offset drifts; empty if no Sun sensors have determined it."""
+    """Return in words how the along-track offset drifts; empty if no Sun sensors have determined it."""
     if check.fitted_sensors is None:
         return ""
     return f" at mid-file, {check.drift_s_day:+z.1f} ± {check.drift_sigma_s_day:.1f} s a day"
 
 
 def clock_words(check: OrbitCheck) -> str:
-    """Return in words with which clock error refused elements would fit; empty if with none."""
+    """Return in words with which error of the telemetry's clock refused elements would fit; empty if with none."""
     hours = round(check.clock_behind_s / 3600)
     if not hours:
         return ""
@@ -90,8 +90,8 @@ def judged_orbit(
 ) -> tuple[Orbit | None, OrbitCheck, str]:
     """Return the orbit that results may use, its check, and a sentence that says which orbit that is.
 
-    An orbit that fits gets the estimated along-track offset with its sigma. If the telemetry cannot judge it, it stays as given. In
-    place of a refused one stands None: no result may depend on it.
+    An orbit that fits gets the estimated along-track offset with its sigma. If the telemetry cannot judge it, it is returned as
+    given. If it is refused, the first result is None, since no result may depend on it.
     """
     check = check_orbit(orbit, vehicle, telemetry, settings=settings)
     if check.verdict is Verdict.REFUSED:
@@ -116,7 +116,7 @@ def judged_orbit(
     # The estimated offset is the sum of the errors of elements and clock. So the variance of the elements is that of the offset
     # less that of the clock; a clock cannot err by more than the sum does.
     elements_variance = max(check.shift_sigma_s**2 - orbit.clock_sigma_s**2, 0.0)
-    known = replace(
+    fitted = replace(
         orbit,
         shift_s=check.shift_s,
         shift_sigma_s=float(np.sqrt(elements_variance)),
@@ -127,4 +127,4 @@ def judged_orbit(
     offset = (
         f"{check.shift_s:+z.0f} ± {check.shift_sigma_s:.0f} s along the track{drift_words(check)}"
     )
-    return known, check, f"the orbit is used: its elements fit, {offset}{remarks}"
+    return fitted, check, f"the orbit is used: its elements fit, {offset}{remarks}"

@@ -14,8 +14,8 @@ from sunspin.telemetry.sun import SunStatus, signals
 from sunspin.vehicle.response.panels import opposite_panels
 
 WITH_BOTH = 0.5
-"""Part of the chosen samples that is reserved for those with field and Sun. The rest, also in the night, shows the field's strength
-and the shadow."""
+"""Share of the chosen samples that is reserved for those with field and Sun. The others, also in the night, show the field's
+strength and the shadow."""
 
 EARTH_SHARE, EARTH_RAD, EARTH_INDEPENDENT = 0.3, 0.1, 10
 """Nothing in a file separates the Sun from the Earth's light on a panel without an opposite one. Such a panel counts as sunlit
@@ -28,12 +28,12 @@ PANEL_RAD = 0.03
 
 
 class Readings(NamedTuple):
-    """Readings of n samples, NaN if there are none.
+    """Readings of n samples at times `t_s` (s), NaN if there are none; directions are unit vectors in body axes.
 
     `field` (n, 3): magnetometer, in any unit. `sun` (n, 3) and its `covariance` (n, 3, 3): direction to the Sun by panels or by Sun
-    sensors as the vehicle file states them. `light` (n): 1 if the Sun is up, 0 if it is dark. `angle` (n, F, 2): angles of each of
-    F Sun sensors, rad; `y_turned` (n, F): the sensor is mounted with a rotated y axis. `panel_sun` (n, 3): direction by panels, or
-    by a Sun vector sensor; `panel_sigma` (n): its error about each axis, rad. `pass_of` (n): number of the pass.
+    sensors as the vehicle file states them. `light` (n): 1 if the Sun is up, 0 if it is dark. `angle` (n, F, 2): x and y angles of
+    each of F Sun sensors, rad; `y_turned` (n, F): the reading of y wraps and has the scale `y_turned_scale`. `panel_sun` (n, 3):
+    direction by panels, or by a Sun vector sensor; `panel_sigma` (n): its error about each axis, rad. `pass_of` (n): its pass.
     """
 
     t_s: np.ndarray
@@ -49,22 +49,22 @@ class Readings(NamedTuple):
 
     @property
     def has_field(self) -> np.ndarray:
-        """True (n) where the magnetometer was read."""
+        """True (n) if the magnetometer was read."""
         return _whole(self.field)
 
     @property
     def has_sun(self) -> np.ndarray:
-        """True (n) where some reading shows the direction to the Sun, or one angle of it."""
+        """True (n) if some reading shows the direction to the Sun, or one angle of it."""
         by_sensors = np.asarray(np.isfinite(self.angle[..., 0]).any(axis=1))
         return _whole(self.sun) | _whole(self.panel_sun) | by_sensors
 
     @property
     def has_angle(self) -> np.ndarray:
-        """True (n) where a sample shows the angle between field and Sun."""
+        """True (n) if a sample shows the angle between field and Sun."""
         return _whole(self.field + self.sun)
 
     def take(self, which: np.ndarray) -> Readings:
-        """Return some of the samples."""
+        """Return the readings of some samples, by index or mask."""
         return Readings(*(part[which] for part in self))
 
     def without_sun(self) -> Readings:
@@ -72,11 +72,11 @@ class Readings(NamedTuple):
         return self._replace(sun=np.full_like(self.sun, np.nan))
 
     def with_axes(self, matrix: np.ndarray) -> Readings:
-        """Return the readings with a matrix (3, 3) applied to those of the field."""
+        """Return the readings with those of the field multiplied by a matrix (3, 3)."""
         return self._replace(field=self.field @ matrix.T)
 
     def with_stated_sun(self) -> Readings:
-        """Return the readings with directions in place of the Sun sensors' angles: the sensors are as the vehicle file states."""
+        """Return the readings with Sun sensors as the vehicle file states: directions by them replace panels', angles are NaN."""
         by_sensors = np.isfinite(self.angle[..., 0]).any(axis=1) & _whole(self.sun)
         sigma = np.sqrt(np.trace(self.covariance, axis1=1, axis2=2) / 2)
         return self._replace(
@@ -87,15 +87,14 @@ class Readings(NamedTuple):
 
 
 def _whole(vectors: np.ndarray) -> np.ndarray:
-    """Return which vectors (n, d) have no NaN."""
+    """Return which of the vectors (n, d) have no NaN."""
     return np.asarray(np.isfinite(vectors).all(axis=1))
 
 
 def orbit_readings(assessment: Assessment, most: int) -> Readings:
     """Return the readings of at most `most` samples that show field, Sun or light, spread over the file.
 
-    Samples with field and Sun are preferred. A direction to the Sun is that of the Sun sensors if they were read, else of the
-    panels.
+    Samples with field and Sun are preferred. The direction `sun` is that of the Sun sensors if they were read, else of the panels.
     """
     telemetry, vehicle = assessment.sensors, assessment.vehicle
     time = telemetry["time"].values
@@ -108,7 +107,7 @@ def orbit_readings(assessment: Assessment, most: int) -> Readings:
 
     sun, covariance = np.full((n, 3), np.nan), np.full((n, 3, 3), np.nan)
     light, panel_sigma = np.full(n, np.nan), np.full(n, np.nan)
-    by_earth = np.zeros(n, dtype=bool)
+    by_earth = np.zeros(n, dtype=bool)  # the Earth's light gives the direction an unknown error
     if assessment.has_panels:
         directions, by_earth = sun_by_panels(assessment)
         sun, covariance = directions["sun_B"].values, directions["sun_cov_B"].values
@@ -116,7 +115,7 @@ def orbit_readings(assessment: Assessment, most: int) -> Readings:
         status = directions["status"].values
         light = np.where(status == SunStatus.DARK, 0.0, 1.0)
         light[status == SunStatus.MISSING] = np.nan
-    # directions by panels are kept apart, for fits in which the Sun sensors may be off
+    # directions by panels are kept too, for fits in which the Sun sensors may be off
     panel_sun, panels_by_earth = sun, by_earth
     if "sun_sensor_B" in telemetry:
         by_sensors = telemetry["sun_sensor_B"].values
@@ -136,21 +135,13 @@ def orbit_readings(assessment: Assessment, most: int) -> Readings:
     usual = np.median(np.diff(time)) if n > 1 else 1.0
     pass_of = np.concatenate([[0], np.cumsum(np.diff(time) > GAP_FACTOR * usual)])[:n]
     readings = Readings(
-        t_s=time,
-        field=field,
-        sun=sun,
-        covariance=covariance,
-        light=light,
-        angle=angle,
-        y_turned=y_turned,
-        panel_sun=panel_sun,
-        panel_sigma=panel_sigma,
-        pass_of=pass_of,
+        time, field, sun, covariance, light, angle, y_turned, panel_sun, panel_sigma, pass_of
     )
+    # choose the samples
     shows_anything = readings.has_field | readings.has_sun | np.isfinite(light)
     use = spread_evenly(telemetry, shows_anything, most, readings.has_field & readings.has_sun)
     by_earth, panels_by_earth, readings = by_earth[use], panels_by_earth[use], readings.take(use)
-    # add the errors that samples have in common: by the Earth's light, and of the panels
+    # add the errors that the chosen samples have in common: by the Earth's light, and of the panels
     earth = earth_variance(by_earth.sum()) * by_earth[:, None, None] * np.eye(3)
     variance = np.nan_to_num(readings.panel_sigma, nan=1.0) ** 2 + PANEL_RAD**2
     variance = variance + earth_variance(panels_by_earth.sum()) * panels_by_earth
@@ -158,9 +149,10 @@ def orbit_readings(assessment: Assessment, most: int) -> Readings:
 
 
 def sun_by_panels(assessment: Assessment) -> tuple[xr.Dataset, np.ndarray]:
-    """Return the Sun directions by panels, NaN if they may be directions to the Earth, and samples with an unknown error by it.
+    """Return the Sun directions by panels, and which of them (n) have an unknown error by the Earth's light.
 
-    The latter (n) use a panel without an opposite one: nothing determines how much of the Earth's light is on it.
+    The latter use a panel without an opposite one: nothing determines how much of the Earth's light is on it. Directions that may
+    be those to the Earth are NaN, as such a panel is weakly lit.
     """
     directions, vehicle = assessment.sun, assessment.vehicle
     has_no_opposite = ~opposite_panels(vehicle.response_in().facing_B).any(axis=1)
@@ -175,7 +167,7 @@ def sun_by_panels(assessment: Assessment) -> tuple[xr.Dataset, np.ndarray]:
 def earth_variance(count: int) -> float:
     """Return the variance (rad^2) of each component of the `count` directions of a file that the Earth's light may disturb.
 
-    Their mean is no better than that of :data:`EARTH_INDEPENDENT` samples: with more of them the variance of each is larger.
+    It grows with their number, so that their mean is no better than that of :data:`EARTH_INDEPENDENT` samples.
     """
     return EARTH_RAD**2 * max(count / EARTH_INDEPENDENT, 1.0)
 
@@ -183,17 +175,17 @@ def earth_variance(count: int) -> float:
 def spread_evenly(
     telemetry: xr.Dataset, shows: np.ndarray, most: int, preferred: np.ndarray
 ) -> np.ndarray:
-    """Return the indices of at most `most` samples, spread over those that show something (n) and came in time.
+    """Return the indices of at most `most` samples, spread over those that show something (n) and did not arrive late.
 
-    At least the part `WITH_BOTH` of them are `preferred` ones (n), if the file has as many.
+    At least the share `WITH_BOTH` of them are `preferred` ones (n), if the file has as many.
     """
     usable = np.flatnonzero(shows & ~find_late_frames(telemetry))
-    spread, first = _every_few(usable, most), usable[preferred[usable]]
-    enough = min(len(first), int(WITH_BOTH * most))
+    spread, usable_preferred = _every_few(usable, most), usable[preferred[usable]]
+    enough = min(len(usable_preferred), int(WITH_BOTH * most))
     if len(spread) == len(usable) or preferred[spread].sum() >= enough:
         return spread
-    chosen = _every_few(first, enough)
-    others = _every_few(np.setdiff1d(usable, first), most - len(chosen))
+    chosen = _every_few(usable_preferred, enough)
+    others = _every_few(np.setdiff1d(usable, usable_preferred), most - len(chosen))
     return np.sort(np.concatenate([chosen, others]))
 
 

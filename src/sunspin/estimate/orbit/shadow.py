@@ -1,7 +1,7 @@
-"""Clear Sun where elements predict the Earth's shadow: then the elements or the times of the telemetry are wrong.
+"""Test of an orbit by sunlight: clear Sun in the predicted shadow of the Earth shows that elements or times are wrong.
 
 In the full shadow there is neither sunlight nor light from the Earth. A bright panel there contradicts the orbit at any attitude
-and without a magnetometer. The along-track offset is free within its prior, and the edge of the shadow is left out.
+and without a magnetometer. Every along-track offset within its prior is allowed, and the edge of the shadow is left out.
 """
 
 from __future__ import annotations
@@ -53,10 +53,11 @@ sample. A shadow lasts longer than any of them."""
 
 
 class SunInShadow(NamedTuple):
-    """Number of samples with clear Sun in the full shadow and of all samples there, at the offset with the fewest sunny ones.
+    """Contradiction of an orbit by clear Sun in its shadow; all fields are 0 if there is none.
 
+    `samples` of all samples (`of`) in the full shadow have clear Sun, at the along-track offset with the fewest such samples.
     `behind_s`, `ahead_s`: least errors (s) of a clock behind or ahead of UTC, or of elements that are as far off, that remove the
-    contradiction; NaN if none does. All are 0 without a contradiction.
+    contradiction; NaN if none does.
     """
 
     samples: int = 0
@@ -66,7 +67,7 @@ class SunInShadow(NamedTuple):
 
     @property
     def beyond_s(self) -> float:
-        """Return the smaller of the two errors, s; NaN if no error of the clock removes the contradiction."""
+        """The smaller of the two errors, s; NaN if no error of the clock removes the contradiction."""
         return min((s for s in (self.behind_s, self.ahead_s) if np.isfinite(s)), default=np.nan)
 
     def __str__(self) -> str:
@@ -74,7 +75,8 @@ class SunInShadow(NamedTuple):
         if not self.samples:
             return ""
         clocks = [
-            f"{_rounded_down(size_s)} or more if it is {side} UTC"
+            (f"{size_s // 60:.0f} min" if size_s >= 120 else f"{size_s:.0f} s")
+            + f" or more if it is {side} UTC"
             for side, size_s in (("behind", self.behind_s), ("ahead of", self.ahead_s))
             if np.isfinite(size_s)
         ]
@@ -87,29 +89,24 @@ class SunInShadow(NamedTuple):
         )
 
 
-def _rounded_down(size_s: float) -> str:
-    """Return a time in whole minutes, or in seconds if it is short."""
-    return f"{size_s // 60:.0f} min" if size_s >= 120 else f"{size_s:.0f} s"
-
-
 def sun_in_shadow(orbit: Orbit, assessment: Assessment, sigmas: float) -> SunInShadow:
-    """Return the samples that contradict an orbit at every offset within so many `sigmas` of its prior.
+    """Return the contradiction of an orbit by clear Sun in its shadow at every along-track offset within `sigmas` of its prior.
 
-    There are none if the light is consistent with one of these offsets.
+    There is none if the light is consistent with one of these offsets.
     """
     t_s, clear = clear_sun(assessment)
     if clear.sum() <= FEW:
         return SunInShadow()
 
     def counts(offsets_s: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return at offsets (K): sunny samples in the full shadow, all samples there, and whether the sunny ones are too many."""
+        """Return arrays (K) at offsets (K) in s: sunny samples in the full shadow, all there, and whether too many are sunny."""
         dark = _in_full_shadow(orbit, t_s, offsets_s, sigmas)
         sunny, total = (dark & clear).sum(axis=1), dark.sum(axis=1)
         by_chance = SEEN_IN_SHADOW * total
         most = np.maximum(FEW, by_chance + CHANCE_SIGMAS * np.sqrt(by_chance))
         return sunny, total, sunny > most
 
-    # most orbits are consistent with the offset of their elements, which saves the search of the others
+    # most orbits are consistent with their own offset, so that no others need to be tried
     if not counts(np.zeros(1))[2].all():
         return SunInShadow()
     half_period = orbit.elements[0].period_s / 2
@@ -122,22 +119,23 @@ def sun_in_shadow(orbit: Orbit, assessment: Assessment, sigmas: float) -> SunInS
     steps = int(half_period / COARSE_S)
     offsets_s = COARSE_S * np.arange(-steps, steps + 1)
     consistent = offsets_s[~counts(offsets_s)[2]]
-    # If the clock is behind UTC the satellite seems ahead of its elements. The contradiction may end one step before these offsets.
+    # If the clock is behind UTC, the satellite seems ahead of its elements: positive offsets. The contradiction may end up to one
+    # step before the first consistent offset.
     behind_s, ahead_s = (
         float(sizes[sizes > 0].min(initial=np.inf)) - COARSE_S
         for sizes in (consistent, -consistent)
     )
     behind_s, ahead_s = (size if np.isfinite(size) else np.nan for size in (behind_s, ahead_s))
-    fewest = int(sunny.argmin())
-    return SunInShadow(int(sunny[fewest]), int(total[fewest]), behind_s, ahead_s)
+    best = int(sunny.argmin())  # the offset with the fewest sunny samples
+    return SunInShadow(int(sunny[best]), int(total[best]), behind_s, ahead_s)
 
 
 def clear_sun(assessment: Assessment) -> tuple[np.ndarray, np.ndarray]:
     """Return times (n) in s of samples that show whether the Sun is up, and which of them (n) surely show sunlight.
 
     Panels show it; without panels, Sun sensors that have a column for their light. A direction without that column does not: it may
-    be computed, or be an old one that was kept. A bright panel reading that repeats an earlier one may be frozen, and is left out;
-    so are repeated readings of Sun sensors and late frames. At most `MOST_SAMPLES` are returned.
+    be computed, or be an old one that was kept. Bright panel readings that repeat earlier ones may be frozen and are left out; so
+    are repeated readings of Sun sensors, and late frames. At most `MOST_SAMPLES` are returned.
     """
     telemetry, sensors = assessment.telemetry, assessment.vehicle.sensors
     shows = clear = np.zeros(telemetry.sizes["time"], dtype=bool)
@@ -161,7 +159,7 @@ def clear_sun(assessment: Assessment) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _sunlit_by_panels(assessment: Assessment) -> tuple[np.ndarray, np.ndarray]:
-    """Return which samples (n) have a bright panel, and which of them (n) are surely in sunlight."""
+    """Return which samples (n) have a bright panel, and which of them (n) are surely in sunlight by panels that fit one Sun."""
     vehicle, quality = assessment.vehicle, assessment.quality
     value = signals(assessment.telemetry)
     full = quality.attrs["full_sun"] * vehicle.input_gains
@@ -172,7 +170,7 @@ def _sunlit_by_panels(assessment: Assessment) -> tuple[np.ndarray, np.ndarray]:
     clear = np.asarray(sound & (assessment.sun["delta"].values < MISFIT))
     full_sun_is_estimated = vehicle.gain_unit != UNITS[vehicle.telemetry.quantity]
     if clear.any() and full_sun_is_estimated:
-        # By the brighter samples of the file, which may be noise: then they scatter. From 16 to 84 % are two sigmas.
+        # The estimate is by the brighter samples, which may be noise: then they scatter. From 16 to 84 % are two sigmas.
         of_sound = brightness(vehicle, np.nan_to_num(value[sound]))
         low, median, high = np.quantile(of_sound, [0.16, 0.5, 0.84])
         if clear.sum() < FITTING_SHARE * sound.sum() or high - low > 2 * SCATTER * median:
@@ -185,7 +183,7 @@ def _in_full_shadow(
 ) -> np.ndarray:
     """Return which samples (K, n) at times t_s (n) are in the full shadow at along-track offsets (K) in s.
 
-    It is those which are there for every drift of the offset within so many `sigmas` of its prior.
+    They are there for every drift of the offset within so many `sigmas` of its prior.
     """
     when = orbit.instants(t_s)
     sun, ahead_s = sun_J2000_m(when), orbit.ahead_s(when) + offsets_s[:, None]
@@ -193,8 +191,8 @@ def _in_full_shadow(
     drift_s = np.minimum(drift_s, orbit.elements[0].period_s / 2)
     steps = int(np.ceil(drift_s.max() / DRIFT_STEP_S)) if drift_s.max() > 1.0 else 0
     dark = np.ones(ahead_s.shape, dtype=bool)
-    for part in np.linspace(-1, 1, 2 * steps + 1) if steps else [0.0]:
-        position, _ = orbit.states(when, ahead_s + part * drift_s)
+    for share in np.linspace(-1, 1, 2 * steps + 1) if steps else [0.0]:  # of the largest drift
+        position, _ = orbit.states(when, ahead_s + share * drift_s)
         # the shadow of an Earth smaller by DEPTH_M, seen from farther out in proportion
         outward = position * EQUATOR_M / (EQUATOR_M - DEPTH_M)
         dark &= sunlit_fraction(outward, np.broadcast_to(sun, position.shape)) == 0

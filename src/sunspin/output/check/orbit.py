@@ -100,9 +100,9 @@ def _summary(orbit: Any, samples: xr.Dataset, check: Any) -> dict[str, Any]:
         "verdict": check.verdict.name.lower(),
         "copies": check.copies,
         "better_copies": check.better,
-        "copies_expected_better_by_chance": check.mistaken,
-        "node_turn_rad": check.turn_rad,
-        "node_turn_times": check.turn_times,
+        "copies_expected_better_by_chance": check.better_by_chance,
+        "node_turn_rad": check.node_rad,
+        "node_turn_times": check.node_factor,
         "shift_s": check.shift_s,
         "shift_sigma_s": check.shift_sigma_s,
         "shift_at_border": check.border,
@@ -146,9 +146,9 @@ def _lines(summary: dict[str, Any], check: Any) -> list[str]:
         ]
     copies = f"{check.copies} randomised comparison orbits with random node and phase"
     lines.append(f"  {check.better} of {copies} fit better (samples: {used})")
-    if check.turn_times > NODE_GAIN:
-        turn = f"with the node turned by {np.degrees(check.turn_rad):+z.0f} deg"
-        lines.append(f"  {turn} residuals are {check.turn_times:.2f} times smaller")
+    if check.node_factor > NODE_GAIN:
+        turn = f"with the node turned by {np.degrees(check.node_rad):+z.0f} deg"
+        lines.append(f"  {turn} residuals are {check.node_factor:.2f} times smaller")
     border = ", at the border of what was tried: widen --tle-shift-sigma" if check.border else ""
     # an orbit 1 s late and a clock 1 s early look the same
     clock = " (includes any clock error)"
