@@ -60,7 +60,11 @@ def to_nominal_axes(nominal: Model, searched: Model, motions: Track, s: SearchSe
     field = leading_field(nominal)
     if field is not None:
         # `from_N` (n, 3, 3): from N to axes that follow the field
-        angles, from_N, model = FIELD_TURNS, field.field_axes(), nominal.for_search(searched.noise)[0]
+        angles, from_N, model = (
+            FIELD_TURNS,
+            field.field_axes(),
+            nominal.for_search(searched.noise)[0],
+        )
         pairs = zip(nominal.obs.terms, model.obs.terms, strict=True)
         terms = (
             field.without_errors() if term is field else in_search for term, in_search in pairs
