@@ -23,7 +23,7 @@ from sunspin.estimate.terms.panels import TILT, Panels
 from sunspin.estimate.terms.torques import WORDS, ConstantTorque
 
 MISALIGNED = "misaligned panels"
-"""Begin of that model's name; the panel that shows it most follows."""
+"""Begin of the name of that model; the panel that shows it most follows."""
 
 LEAST_STEP = 1e-3
 """Least size of a rate step, in sigmas of the rate before the data."""
@@ -97,7 +97,8 @@ def misaligned_panels(
     _, weights = residual.law(residual.value)
     weight = weights[0]
     assert residual.by_turn is not None
-    gains = []  # half of what two tilt angles of each panel take from the weighted square of its residuals, by least squares
+    # half of what two tilt angles of each panel take from the weighted square of its residuals, by least squares
+    gains = []
     for panel, axes in enumerate(panels.tilt_axes()):
         slope, value = residual.by_turn[0, :, panel] @ axes.T, residual.value[0, :, panel]
         matrix, gradient = slope.T @ (weight[:, None] * slope), slope.T @ (weight * value)

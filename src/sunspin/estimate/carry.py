@@ -16,8 +16,7 @@ from sunspin.solve.rotations import cross_matrix, rotate_attitude, rotation_betw
 
 STEP_RAD, LEAST_STEPS, MOST_STEPS = 0.4, 2, 400
 """Angle by which the body turns in one Runge-Kutta step, at most: the error over a revolution is 1e-4 rad, below that of any panel.
-Then the least and largest number of steps in an interval: 400 of 0.4 rad are 25 revolutions, more than sparse directions can
-show."""
+Then the least and largest number of steps in an interval: 400 are 25 revolutions, more than sparse directions can show."""
 
 MOST_NUTATION_RAD = 800.0
 """Angle by which wheels may turn the vector of the rate between two samples: 2 rad in each step, which the integration follows."""

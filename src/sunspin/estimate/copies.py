@@ -14,8 +14,7 @@ SUN_SHARE, WHOLE_SHARE = 0.35, 0.7
 """Weights, relative to rotations between neighbouring samples, of the Sun's directions and of rotations since the middle sample.
 
 Directions distinguish mirror images; with a larger weight they would also part motions on their way to the same minimum. Rotations
-since the middle distinguish slow motions, which rotate nearly alike between neighbours, from 0.35 rad on: a fit moves no
-farther."""
+since the middle part slow motions, which rotate nearly alike between neighbours, from 0.35 rad on, as far as a fit moves."""
 
 
 class Outline(NamedTuple):
@@ -34,7 +33,7 @@ class Outline(NamedTuple):
 
     @classmethod
     def of(cls, motions: Track, t_s: np.ndarray) -> Outline:
-        """Return the outline of motions at times (n), s."""
+        """Return the outline of motions at times `t_s` (n)."""
         steps = motions.omega[:, :-1] * np.diff(t_s)[:, None]
         # at each sample since the first
         total = np.concatenate([np.zeros((len(steps), 1, 3)), np.cumsum(steps, axis=1)], axis=1)
@@ -50,9 +49,8 @@ class Outline(NamedTuple):
         """Return which of the motions `others` (K), fitted under the same model, are copies of motion `k`.
 
         A copy sees the Sun and rotates as `k` does, between neighbouring samples (to `apart_rad`) and over the whole window. If it
-        does so only between neighbours, it is a copy if both lie in one valley of the cost: their rates are within `sigmas` of each
-        other, by the covariance of each. That of one is not enough: a broad minimum may reach over narrow ones, which are no
-        copies.
+        does so only between neighbours, it is one if both lie in one valley of the cost: their rates are within `sigmas` of each
+        other, by the covariance of each. That of one is not enough: a broad minimum may reach over narrow ones, which are others.
         """
         steps_alike = self._steps_alike(k, others, apart_rad)
         whole_alike = _nowhere_farther(self.whole[k], others.whole, apart_rad / WHOLE_SHARE)
@@ -91,9 +89,7 @@ class Outline(NamedTuple):
             off = others.omega[which] - self.omega[k]
             by_each = [np.broadcast_to(of_k, of_others.shape), of_others]
             covariances = [of_k + of_others] if joint else by_each
-            square = np.max(
-                [_squared_sigmas(off, covariance) for covariance in covariances], axis=0
-            )
+            square = np.max([_squared_sigmas(off, part) for part in covariances], axis=0)
             agree[which] = square <= sigmas**2
         return agree
 

@@ -1,8 +1,7 @@
 """Motions carried from the samples to which they were fitted to all others, and the misfit of each sensor there.
 
 Between two kept samples a motion is propagated forward from the first and backward from the second by the equations of motion, and
-the two are blended. Unknown torques in between are white angular acceleration; since the states at both ends are known, the error
-that they add is that of a Brownian bridge.
+the two are blended. Unknown torques in between are white angular acceleration; as both ends are known, their error is a bridge.
 """
 
 from __future__ import annotations
@@ -137,8 +136,8 @@ def residuals_by_sensor(
 
     `obs`, `track`: readings and motions at all samples of a pass. `model`: of the kept samples, to which the motions were fitted;
     `kept` (n): indices of these. At all others the covariance of the motion is added to that of a reading, since the motion was not
-    fitted to it. Errors that the vehicle file does not state (`Unknown.doubted`) are set to zero: a sensor fits if its readings
-    agree with what the file states.
+    fitted to it. Errors that the vehicle file does not state (`Unknown.doubted`) are zero: a sensor must agree with the file to
+    fit.
     """
     was_fitted = np.isin(np.arange(len(obs)), kept)
     spread = np.where(was_fitted[:, None, None], 0.0, track.covariance)

@@ -30,8 +30,8 @@ class PassFits:
     """All fits of one pass, whose nominal model is `nominal`.
 
     `fits`: one for each model and strength of unknown torques. `rungs` (r): these strengths, rad/s^1.5; `log_rung` (r): logs of
-    their prior probabilities. `used`: motions times samples that were fitted. `cut`: whether something was left out because the
-    computing budget was used up.
+    their prior probabilities. `used`: motions times samples that were fitted. `cut`: whether the computing budget left something
+    out.
     """
 
     nominal: Model
@@ -66,8 +66,8 @@ def ladder(
 
     A rung is one strength, rad/s^1.5. The rungs from `first_rung` up come first, then those below it, downward. Each fit begins
     where the one before ended, since a motion hardly moves in a fit under weak torques. A path, up or down, ends with a rung whose
-    log evidence is `s.hopeless` below that of the best rung, or below `rival`, that of another model. `search_settings`: which
-    motions are copies of each other, and how many are kept.
+    best motion has a log evidence `s.hopeless` below that of the best rung, or below `rival`, that of another model.
+    `search_settings`: which motions are copies of each other, and how many are kept.
 
     If a stronger rung makes the first one hopeless, the fit on the first may have ended on its way to a minimum. The path down then
     begins at the highest rung reached, and fits all rungs below it again. Without this a wrong motion was decided. The true one, of
@@ -85,8 +85,8 @@ def ladder(
     def fit_path(path: Sequence[float], begin: Fit, begin_rung: float) -> tuple[Fit, float]:
         """Fit the rungs of `path` one after the other and add the fits to `fits`; return the last fit and its rung.
 
-        The first begins at the motions of the fit `begin`, on the rung `begin_rung`. The next one begins at the fit under one
-        sigma of each unknown; what is added to `fits` is the same fit summed over all sizes of the sigmas (`over_shares`).
+        The first begins at the motions of the fit `begin`, on the rung `begin_rung`, each next one where the fit before ended. What
+        is added to `fits` is the fit after its sum over the sizes of its sigmas (`over_shares`).
         """
         last, last_rung = begin, begin_rung
         for rung in path:
@@ -110,17 +110,14 @@ def ladder(
                 break
         return last, last_rung
 
-    rungs = sorted(s.rungs)
-    highest, highest_rung = fit_path(
-        [rung for rung in rungs if rung > first_rung], first, first_rung
-    )
+    above = [rung for rung in sorted(s.rungs) if rung > first_rung]
+    highest, highest_rung = fit_path(above, first, first_rung)
     best = max((float(fitted.log_evidence.max()) for fitted in fits.values()), default=-np.inf)
     first_hopeless = first_summed.log_evidence.max(initial=-np.inf) < best - s.hopeless
-    if first_hopeless and len(highest):
-        begin, begin_rung = highest, highest_rung
-    else:
-        begin, begin_rung = first, first_rung
-    fit_path([rung for rung in reversed(rungs) if rung < begin_rung], begin, begin_rung)
+    from_top = first_hopeless and len(highest)
+    begin, begin_rung = (highest, highest_rung) if from_top else (first, first_rung)
+    below = [rung for rung in sorted(s.rungs, reverse=True) if rung < begin_rung]
+    fit_path(below, begin, begin_rung)
     return list(fits.values())
 
 
@@ -170,22 +167,16 @@ def _distinct_motions(
     fitted: Fit, s: LadderSettings, search_settings: SearchSettings
 ) -> np.ndarray:
     """Return the indices of a fit's motions without copies and hopeless ones, the most probable first."""
-    return distinct(
-        fitted.motions,
-        fitted.model.obs.t_s,
-        search_settings,
-        drop=s.hopeless,
-        order_by=-fitted.log_evidence,
-    )
+    t_s, order_by = fitted.model.obs.t_s, -fitted.log_evidence
+    return distinct(fitted.motions, t_s, search_settings, drop=s.hopeless, order_by=order_by)
 
 
 def over_shares(fitted: Fit, beyond_fit: float) -> Fit:
     """Return a fit (K motions) summed over the possible sizes of its prior sigmas: evidence, means and covariances of the mixture.
 
-    The prior sigma of an unknown of unknown size, as that of a torque, is the largest one times one of several equally likely
-    factors, its shares (:class:`Unknown`). The fit is under the largest sigmas; it is not repeated for the others, since with them
-    its evidence and its Gaussian change by formulas (:func:`_with_shares`). The other unknowns and the states follow the changed
-    ones by their covariance. `beyond_fit`: see :func:`_with_shares`.
+    The prior sigma of a quantity of unknown size, as of a torque, is the largest one times one of several equally likely factors,
+    its shares (:class:`Unknown`). The fit is made under the largest sigmas. For the others its evidence and its Gaussian change by
+    formulas (:func:`_with_shares`, also for `beyond_fit`); all other unknowns and the states follow by their covariance.
     """
     # indices of the unknowns whose sigma has several sizes, by their kind: all of a kind have the same size
     groups: dict[str, list[int]] = {}
@@ -208,9 +199,8 @@ def over_shares(fitted: Fit, beyond_fit: float) -> Fit:
     centre = np.einsum("ck,ckg->kg", weight, mean)
     off = mean - centre
     spread = np.einsum("ck,ckij->kij", weight, covariance + off[..., :, None] * off[..., None, :])
-    # Regression on the shared unknowns: if their mean changes by d and their covariance by D, all unknowns change by B d and
-    # B D B^T, with B = (covariance of all with the shared) (covariance of the shared)^-1. The states change by `states_by_u`
-    # times that.
+    # Regression on the shared unknowns: if their mean changes by d and their covariance by D, those of all unknowns change by B d
+    # and B D B^T, with B = (covariance of all with the shared) (that of the shared)^-1; the states by `states_by_u` times that.
     by_shared = fitted.u_covariance[:, :, shared] @ precision
     u_change = valid[:, None] * (by_shared @ (centre - u)[..., None])[..., 0]
     widening = valid[:, None, None] * by_shared @ (spread - of_shared)
@@ -226,12 +216,11 @@ def over_shares(fitted: Fit, beyond_fit: float) -> Fit:
         fitted.motions.cost,
         fitted.motions.covariance + state_widening,
     )
-    return Fit(
-        model=fitted.model,
+    return replace(
+        fitted,
         motions=motions,
         log_evidence=fitted.log_evidence + logsumexp(gain, axis=0) - np.log(len(gain)),
         u_covariance=fitted.u_covariance + widening,
-        states_by_u=fitted.states_by_u,
         lowest=fitted.motions,
     )
 
@@ -243,18 +232,15 @@ def _with_shares(
     valid: np.ndarray,
     beyond_fit: float,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return what a fit (K motions) would be under each of c combinations of smaller prior sigmas, as far as it is linear.
+    """Return what other sigmas change in a fit: log evidence (c, K), and mean (c, K, g) and covariance (c, K, g, g) of g unknowns.
 
-    The results are the change of the log evidence (c, K), and mean (c, K, g) and covariance (c, K, g, g) of the g unknowns whose
-    sigmas change, in the largest sigmas. `groups`: their indices by kind; `precision` (K, g, g): the inverse of their covariance
-    in the fit, which counts for the motions that are `valid` (K).
+    They are for each of c combinations of the shares of these unknowns, and K motions. `groups`: indices of the unknowns by kind;
+    `precision` (K, g, g): inverse of their covariance in the fit, without a meaning for motions that are not `valid` (K).
 
     The unknowns u have the mean m and the precision P. If the readings depend on them linearly, a prior with the share f of a sigma
     adds d = 1/f^2 - 1 to the precision of each: P' = P + d, and P' m' = P m. The log evidence changes by (m' P' m' - m P m + log
-    det P - log det P') / 2, less log f for each unknown: the norm of its prior.
-
-    Constant torques turn the body far, and the readings are linear only near the fit: shares that allow `beyond_fit` times more
-    than the fitted size get nothing.
+    det P - log det P') / 2, less log f for each unknown: the norm of its prior. Torques turn the body far, and the readings are
+    linear only near the fit: a share that allows `beyond_fit` times more than the fitted size has no probability.
     """
     shared = np.concatenate([*groups.values()])
     of_kind = {kind: np.flatnonzero(np.isin(shared, group)) for kind, group in groups.items()}

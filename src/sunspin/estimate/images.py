@@ -34,8 +34,8 @@ def images_of(model: Model) -> np.ndarray:
 def imaged(motions: Track, image: np.ndarray) -> Track:
     """Return motions after a mirror or rotation `image` (3, 3) of body axes, without cost and covariance.
 
-    Rates are axial vectors: a mirror also reverses their sign. A mirrored attitude is a rotation only if an axis of N is mirrored
-    too: x, which is normal to the Sun.
+    Rates are axial vectors: a mirror also reverses their sign. It mirrors the x axis of N too, so that an attitude stays a
+    rotation.
     """
     sign = np.sign(np.linalg.det(image))  # -1 for a mirror
     attitude = image @ motions.attitude @ np.diag([sign, 1.0, 1.0])

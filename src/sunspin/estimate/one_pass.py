@@ -76,11 +76,10 @@ def one_pass(
 ) -> PassFits:
     """Return the fits of all motions of one pass, under every model that may explain it, with their evidence.
 
-    `nominal`: the nominal model of the samples kept for the search. `begin`: motions of the same pass under a model that hardly
-    differs, which replace the first search.
+    `nominal`: that of the samples kept for the search. `begin`: motions under a similar model, which replace the first search.
     """
     s, exact = settings, nominal
-    # a copy for each pass, since passes are estimated side by side; panels with symmetric solutions need more
+    # each pass has its own budget, as passes are estimated side by side; symmetric solutions need more
     flat = s.search.flat_budget if len(images_of(nominal)) > 1 else 1.0
     budget = replace(budget, most=flat * budget.most)
 
@@ -96,8 +95,8 @@ def one_pass(
         )
 
     # Motions that the search may lose, as it holds the inertia: bodies of another shape, then whole revolutions more or less of all
-    # that is found. This order, as a body without an inertia has its aliases only when its shape is known. Each is tried up to a
-    # largest rate of its own. About two axes it is beyond one that nobody stated, whatever the body: these aliases are few.
+    # that is found. This order, as a body without an inertia has its aliases only when its shape is known. `factor`: on a largest
+    # rate that nobody stated; for revolutions about two axes any body may exceed that, as they are few.
     beyond = s.alternatives.beyond if _inertia_by_sun(nominal) and nominal.body.sphere else 1.0
     for related, factor in (
         (other_bodies, beyond),
@@ -105,7 +104,8 @@ def one_pass(
         (partial(aliases_about_two_axes, s=s.alternatives), s.alternatives.beyond),
     ):
         # of the three most probable motions: each has many
-        others = related(best_motions(fits, 3, s.search), _with_rates_up_to(nominal, factor))
+        wider = replace(nominal, rate_sigma=factor * nominal.rate_sigma)
+        others = related(best_motions(fits, 3, s.search), wider)
         budget.spend(len(others) * len(nominal.obs))
         fits += ladder(nominal, others, s.ladder, s.search, s.ladder.strong)
         fits = merge_fits(fits, s.ladder, s.search)
@@ -118,14 +118,7 @@ def one_pass(
 
     # all rungs are equally likely, until the passes of the file are compared (`evidence.share_noise`)
     even = np.full(len(s.ladder.rungs), -np.log(len(s.ladder.rungs)))
-    return PassFits(
-        nominal=exact,
-        fits=tuple(fits),
-        rungs=s.ladder.rungs,
-        log_rung=even,
-        used=budget.used,
-        cut=budget.cut,
-    )
+    return PassFits(exact, tuple(fits), s.ladder.rungs, even, budget.used, budget.cut)
 
 
 def search_again(nominal: Model, fits: list[Fit], s: RatesSettings, budget: Budget) -> list[Fit]:
@@ -140,9 +133,8 @@ def search_again(nominal: Model, fits: list[Fit], s: RatesSettings, budget: Budg
         return fit_tracks(nominal, tracks, noise, s)
 
     limit, inertia_by_sun = nominal.obs.cost_limit, _inertia_by_sun(nominal)
-    # First doubt: an inertia that is wrong looks like torques. If no motion fits, search as if strong ones acted. What counts is
-    # the cost of the most probable motion, since under the strongest torques nearly everything fits. The search is made once at
-    # most.
+    # First doubt: an inertia that is wrong looks like torques. If the most probable motion does not fit, search as if strong ones
+    # acted, once at most. Other motions do not count, since under the strongest torques nearly everything fits.
     under_strong_torques = cache(partial(search_and_fit, nominal, s.ladder.strong))
     if len(nominal.body.errors) and best_cost(fits) > limit:
         fits = min(fits, under_strong_torques(), key=best_cost)
@@ -157,7 +149,8 @@ def search_again(nominal: Model, fits: list[Fit], s: RatesSettings, budget: Budg
     # Third: without an inertia a motion beyond a largest rate that nobody stated may fit as well.
     may_be_faster = inertia_by_sun and nominal.body.sphere and s.alternatives.beyond > 1
     if may_be_faster and is_fast(fits):
-        wider = _with_rates_up_to(nominal, s.alternatives.beyond)
+        # a larger largest rate, for the search alone
+        wider = replace(nominal, rate_sigma=s.alternatives.beyond * nominal.rate_sigma)
         faster = search_and_fit(wider, s.search.noise, slowest=nominal.rate_max)
         fits = merge_fits(fits + faster, s.ladder, s.search)
     return fits
@@ -166,11 +159,6 @@ def search_again(nominal: Model, fits: list[Fit], s: RatesSettings, budget: Budg
 def _inertia_by_sun(nominal: Model) -> bool:
     """Return whether the inertia is uncertain, and only the Sun shows whether a trial inertia is right."""
     return bool(len(nominal.body.errors) and nominal.obs.only_sun)
-
-
-def _with_rates_up_to(nominal: Model, factor: float) -> Model:
-    """Return the nominal model with a largest rate that is larger by `factor`, for a search or for aliases; not for a fit."""
-    return replace(nominal, rate_sigma=factor * nominal.rate_sigma)
 
 
 def search_first(
@@ -206,8 +194,7 @@ def with_alternatives(
         fields = [term for term in model.obs.terms if isinstance(term, FieldChange)]
         if new and any(len(term.zero_shares) > 1 for term in fields):
             # the search believed the magnetometer: the true motion may be lost, and an alias have taken its place
-            of_nominal = best_nominal_fit(fits)
-            gain = best_fit(new).log_evidence.max() - of_nominal.log_evidence.max()
+            gain = best_fit(new).log_evidence.max() - best_nominal_fit(fits).log_evidence.max()
             if gain > settings.alternatives.doubted:
                 with suppress(InputError):  # nothing else may fit
                     tracks = search_motions(model, search.noise, search, budget)
@@ -259,8 +246,7 @@ def search_motions(
     is raised. If not, slower motions were searched before: one pair of samples to start from is enough, and the list may be empty.
     `inertia_held`: the errors of the inertia are no unknowns while the window grows; else the search takes longer.
     """
-    # Axes that follow the magnetic field turn in space. In these a true motion may exceed the cost limit, so that a search would go
-    # on from further pairs of samples without need.
+    # In axes that follow the magnetic field, and turn in space, a true motion may exceed the cost limit: no further pairs then
     search_settings = s if leading_field(nominal) is None else replace(s, more_places=0)
     tracks = []
     for model in models_to_search(nominal, Noise(noise)):
@@ -306,10 +292,7 @@ def is_fast(fits: Sequence[Fit]) -> bool:
 def fit_tracks(
     nominal: Model, tracks: Sequence[Track], noise: float, s: RatesSettings
 ) -> list[Fit]:
-    """Return fits of the nominal model to motions of a search and their images, under every strength of torques.
-
-    `noise` (rad/s^1.5): the strength in the search, under which the first fit is made.
-    """
+    """Return fits of motions of a search and their images under every strength of torques, first that of the search, `noise`."""
     fits = []
     for motions in tracks:
         begin = prepare_fit(nominal.under(noise), with_images(motions, nominal, s.search))

@@ -62,8 +62,7 @@ from sunspin.telemetry.assess import Assessment, assess
 from sunspin.vehicle import Vehicle
 
 NOISE_RANGE = (1e-9, 1.0)
-"""Strengths of unknown torques that are accepted, rad/s^1.5: with the smallest a rate changes by 2e-5 deg/s in a day, with the
-largest a body turns once in 20 s."""
+"""Accepted strengths of unknown torques, rad/s^1.5: from 2e-5 deg/s in a day to a revolution in 20 s."""
 
 ALONG_Z = 1e-6
 """The Sun of an environment may be off the z axis by this, as a vector."""
@@ -162,7 +161,6 @@ def rates(
     MotionError
         A torque without the environment that it needs.
     """
-    # the readings of all samples, why each is used or not, and the passes that they form
     assessment = assess(vehicle, telemetry)
     local = along_the_sun(environment)  # axes N with z to the Sun
     calibration = calibrate_magnetometer(local, assessment) if calibration is None else calibration
@@ -199,8 +197,7 @@ def rates(
         thin = f", thinned to {kept} for the search" if kept < used else ""
         progress(f"{used} samples used in {count_of_passes(len(passes))}{thin}")
 
-    # the fits of all passes, in as many processes as there are tasks at most: searches of reversed wheels, and the passes or models
-    # of wheels
+    # the fits of all passes; `tasks`: reversed wheels, and passes or models of wheels, that may be computed side by side
     require_directions(nominal, passes)
     tasks = len(wheel_changes(vehicle))
     tasks += max(len(passes), len(wheel_models(vehicle, assessment.telemetry)))
@@ -208,7 +205,7 @@ def rates(
         load_step()
     with process_pool(processes) as pool:
         fitter = PassFitter(settings, budget, map if pool is None else pool.map)
-        fitted = fit_passes(assessment, nominal, passes, fitter, progress is True)
+        fitted = fit_passes(assessment, nominal, passes, fitter, show_bar=progress is True)
 
     # the solutions of each pass; other passes and observed periods change their probabilities
     fits, solved, pass_attrs = solve_passes(fitted, passes, periods, settings)
@@ -257,6 +254,7 @@ def fit_passes(
     nominal: Model,
     passes: Sequence[Pass],
     fitter: PassFitter,
+    *,
     show_bar: bool,
 ) -> FittedPasses:
     """Fit all passes, the longest first, since their fits decide what the wheels do.
@@ -290,18 +288,16 @@ def solve_passes(
     periods: Sequence[PeriodSeen],
     settings: RatesSettings,
 ) -> tuple[list[PassFits], list[Solutions], dict[str, Any]]:
-    """Return fits and solutions of each pass with probabilities by all passes and observed `periods`, and attributes about these.
+    """Return fits and solutions of each pass, their probabilities by all passes and observed `periods`, and attributes on these.
 
-    Passes determine each other's probabilities: the same torques act in all of them, and a rate changes little from one to the
-    next.
+    Passes determine each other's probabilities: the same torques act in all, and a rate changes little from one to the next.
     """
     obs, body = fitted.nominal.obs, fitted.nominal.body
     fits = share_noise(fitted.fits, settings.ladder)
     solved = []
     for pass_fits, a_pass in zip(fits, passes, strict=True):
-        all_samples = obs.of_pass(a_pass.samples)
-        kept = a_pass.kept_in_pass
-        solved.append(solutions(pass_fits, all_samples, kept, settings.solutions, settings.search))
+        whole, kept = obs.of_pass(a_pass.samples), a_pass.kept_in_pass
+        solved.append(solutions(pass_fits, whole, kept, settings.solutions, settings.search))
     numbers = [a_pass.number for a_pass in passes]
     solved, period_attrs = weigh_by_periods(solved, body, periods, numbers)
     middle_s = [float(obs.t_s[a_pass.samples].mean()) for a_pass in passes]
@@ -332,8 +328,7 @@ def stated_noise(
 ) -> float | None:
     """Return the strength of unknown torques (rad/s^1.5): the `given` one, else the vehicle's; None if neither states it.
 
-    A vehicle file with a magnetic dipole has two: another one is stated for the case that the dipole is not modelled, since that
-    needs a measured field.
+    A file with a magnetic dipole states another one for the case that no field is measured, so that the dipole is not modelled.
     """
     disturbance = vehicle.sensors.disturbance
     stated = (
@@ -379,12 +374,12 @@ def largest_rate(
 def require_directions(nominal: Model, passes: Sequence[Pass]) -> None:
     """Raise InputError if each row has readings of some panels only, and no two neighbours determine the direction to the Sun.
 
-    Such rows arise if each panel's readings are a packet of its own. If another sensor was read, directions may be missing.
-    `nominal`: the nominal model of the whole file.
+    Such rows arise if each panel has packets of its own. If another sensor is read, directions may be missing.
     """
     panels = [term for term in nominal.obs.terms if isinstance(term, Panels)]
     if not panels or not nominal.obs.only_sun:
         return
+    # the most panels that are read in a row, and those that are used at all
     read = int(np.isfinite(panels[0].sigma).sum(axis=1).max())
     count = panels[0].sigma.shape[1] - len(panels[0].left_out)
     if read >= count:
@@ -444,15 +439,12 @@ def left_open_by_search(
 ) -> tuple[list[str], dict[str, float]]:
     """Return why the search of each pass may be incomplete and what would help, in words; and attributes that count such passes.
 
-    The reasons: it was cut short; its starts were too coarse for the largest rate; the speed of a wheel is unknown; the gains are,
-    and only the Sun is measured; or it took a body without an inertia for a sphere, but the torques are stronger than those of
-    nearly any satellite, or turn the body far between two samples, as a nutation does. `result`: its attributes name wheels of
-    unknown speed and panels of unknown gain.
+    The search was cut short; its starts were too coarse for the largest rate; the speed of a wheel is unknown; gains are, and only
+    the Sun is measured; or it took a body without an inertia for a sphere, but the torques are stronger than those of nearly any
+    satellite, or turn the body far between two samples, as a nutation does. `result`: names wheels and panels with unknown values.
     """
     wheels, gains = result.attrs["wheels_untold"], result.attrs["gains_unknown"]
-    strength_estimated = (
-        len(settings.ladder.rungs) > 1
-    )  # a stated strength of torques is the only rung
+    strength_estimated = len(settings.ladder.rungs) > 1  # a stated one is the only rung
     fine = [fine_up_to(pass_fits.nominal, settings.search) for pass_fits in fits]
     words, no_sphere = [], 0
     for pass_fits, of_pass, limit in zip(fits, solved, fine, strict=True):

@@ -3,9 +3,8 @@
 Thrusters, and wheels whose speeds were not read, change the rate in another way than any free body. Over a few samples the change
 is small, so each window is estimated as a pass by :func:`sunspin.estimate.rates.rates`.
 
-The angular momentum of a free body has the same size in all windows: |J omega + h|, with the inertia J and the momentum h of wheels
-whose speeds are known. A torque acts on the body if no motion fits the whole pass, most windows fit, and the sizes in two of them
-differ beyond their errors.
+The angular momentum of a free body, J omega + h with the inertia J and the momentum h of wheels of known speed, has the same size
+in all windows. A torque acts if no motion fits the whole pass, most windows fit, and two sizes differ beyond their errors.
 """
 
 from __future__ import annotations
@@ -163,8 +162,7 @@ def _windows_of(
 def _as_no_free_body(vehicle: Vehicle, telemetry: xr.Dataset, windows: xr.Dataset) -> str:
     """Return in words that the rate changes as no free body's does; empty if the windows do not show it.
 
-    `windows`: of one pass. The sizes of the angular momentum are compared for every pair of windows with a single solution that
-    fits.
+    `windows`: of one pass. The sizes of the angular momentum are compared between all windows with a single solution that fits.
     """
     fits, sigma = windows["window_fits"].values, windows["window_sigma_B"].values
     use = np.flatnonzero(fits & windows["window_unique"].values & np.isfinite(sigma).all(axis=1))

@@ -21,6 +21,9 @@ from sunspin.solve.rotations import rotation_between
 ESTIMATED = ("steady_torque", "gyro_zero", "gyro_scale", "rate_size_scale", "clock", "panel_zero")
 """Kinds of unknowns that are reported as they are."""
 
+ARRAYS = ("probability", "mean", "mean_sigma", "noise")
+"""Fields of `Solutions` with a row for each solution."""
+
 MEAN_COUNTS = 0.05
 """Motions with less than this share of a solution's probability do not count in the sigma of its mean rate."""
 
@@ -50,10 +53,7 @@ class Solutions:
     @staticmethod
     def joined(parts: Sequence[Solutions]) -> Solutions:
         """Return all solutions of several objects of one pass as one; `obs`, `model` and `cost_limit` are those of the first."""
-        arrays = {
-            name: np.concatenate([getattr(part, name) for part in parts])
-            for name in ("probability", "mean", "mean_sigma", "noise")
-        }
+        arrays = {name: np.concatenate([getattr(part, name) for part in parts]) for name in ARRAYS}
         residual = {
             sensor: np.concatenate([part.residual[sensor] for part in parts])
             for sensor in parts[0].residual
@@ -67,13 +67,10 @@ class Solutions:
         return replace(
             self,
             track=self.track.take(which),
-            probability=self.probability[which],
-            mean=self.mean[which],
-            mean_sigma=self.mean_sigma[which],
-            residual={name: part[which] for name, part in self.residual.items()},
-            noise=self.noise[which],
+            residual={sensor: sigmas[which] for sensor, sigmas in self.residual.items()},
             without_periods=None if self.without_periods is None else self.without_periods[which],
             estimates=tuple(self.estimates[k] for k in which),
+            **{name: getattr(self, name)[which] for name in ARRAYS},
         )
 
     def listed(self, s: SolutionSettings, images: int = 1) -> Solutions:
@@ -104,15 +101,14 @@ def solutions(
     differ from it. `whole`: all samples of the pass; `kept` (n): indices among them of those to which `fits` were made.
     """
     motions = _weighted_motions(fits, s)
-    groups = _groups(motions, fits.nominal.obs.t_s, s, search_settings)
+    groups = _groups(motions, s, search_settings)
     # the probability of each model, all motions counted; an alternative is named only if the nominal one has hardly any
     of_model: dict[str, float] = {AS_STATED: 0.0}
     for fitted, weight in motions:
         what = fitted.model.what
         of_model[what] = of_model.get(what, 0.0) + weight
-    named = AS_STATED
-    if of_model[AS_STATED] <= s.named:
-        named = max(of_model, key=lambda what: of_model[what])
+    most_probable = max(of_model, key=lambda what: of_model[what])
+    named = AS_STATED if of_model[AS_STATED] > s.named else most_probable
     solved = Solutions.joined([_solution(group, whole, kept) for group in groups])
     limit = fits.nominal.obs.cost_limit
     return replace(solved, model=(named, of_model[named]), cost_limit=limit)
@@ -165,19 +161,15 @@ def _gain_of_any_speed(fitted: Fit, s: SolutionSettings) -> np.ndarray:
 
 
 def _groups(
-    motions: list[WeightedMotion],
-    t_s: np.ndarray,
-    s: SolutionSettings,
-    search_settings: SearchSettings,
+    motions: list[WeightedMotion], s: SolutionSettings, search_settings: SearchSettings
 ) -> list[list[WeightedMotion]]:
     """Return the motions of each solution, the most probable first; solutions by falling probability.
 
-    `motions`: of all models and strengths of torques, the most probable first, at times `t_s` (n) of the kept samples. Each joins
-    the first group whose most probable motion, the head, it resembles.
+    `motions`: the most probable first. Each joins the first group whose most probable motion, the head, it resembles.
     """
     groups: list[tuple[Outline, list[WeightedMotion]]] = []
     for fitted, weight in motions:
-        outline = Outline.of(fitted.motions, t_s)
+        outline = Outline.of(fitted.motions, fitted.model.obs.t_s)
         for head, group in groups:
             # Two motions of one fit were not taken for copies there. So they stay two solutions unless they are nearer to each
             # other than motions of different models need be.
@@ -228,9 +220,8 @@ def _solution(group: list[WeightedMotion], whole: Observations, kept: np.ndarray
     counted = np.flatnonzero((shares >= MEAN_COUNTS) | (np.arange(len(group)) == 0))
     variance = 0.0
     for k in counted:
-        mean_off = np.einsum(
-            "knij,knj->ki", mean_by_kept, offs[k]
-        )  # its mean rate less that of the first
+        # by how much its mean rate differs from that of the first
+        mean_off = np.einsum("knij,knj->ki", mean_by_kept, offs[k])
         variance = variance + shares[k] * (variance_of(fits[k], mean_by_kept) + mean_off**2)
     return Solutions(
         obs=whole,
@@ -249,8 +240,7 @@ def _solution(group: list[WeightedMotion], whole: Observations, kept: np.ndarray
 def estimates(fitted: Fit) -> dict[str, tuple[str, float, float]]:
     """Return the numbers that were estimated with the motion of a fit (K = 1): name -> unit, value, one sigma.
 
-    Gains are factors on those of the vehicle file. Moments of inertia are in units of the mean one. The Earth's light is the mean
-    over the pass in axes of N.
+    Gains are factors on those of the file, moments of inertia in units of the mean one, the Earth's light a mean in axes of N.
     """
     model: Model = fitted.model
     u, covariance = fitted.motions.u[0], fitted.u_covariance[0]
@@ -276,10 +266,6 @@ def estimates(fitted: Fit) -> dict[str, tuple[str, float, float]]:
             for k, axis in enumerate("xyz"):
                 rows[f"earth_light_{axis}"] = "full Sun", float(centre[k]), change[k]
     return {
-        name: (
-            unit,
-            float(centre + change @ u),
-            float(np.sqrt(max(change @ covariance @ change, 0))),
-        )
-        for name, (unit, centre, change) in rows.items()
+        name: (unit, float(a + g @ u), float(np.sqrt(max(g @ covariance @ g, 0))))
+        for name, (unit, a, g) in rows.items()
     }

@@ -2,8 +2,7 @@
 
 Two directions of the Sun in the body, a known time apart, leave a family of constant rates: any angle from that between the two up
 to its rest to a revolution, two axes for each angle, and whole revolutions more. If unequal moments or wheels change the rate in
-the body between the two, no constant rate is a start, and a grid of rates takes its place. The rate that a gyro reads is a start
-too.
+the body between the two, a grid of rates takes the place of constant ones. The rate that a gyro reads is a start too.
 
 Starts are coarse. Under Student's law of the readings a start that misses most samples would stay where it is. So starts are
 compared and first fitted with errors as large as the distance between two starts.
@@ -114,9 +113,8 @@ def pairs_to_try(model: Model, s: SearchSettings) -> int:
 
     A grid has a start near every rate. But an error of the inertia may lead all of them away from the truth within the first
     window: of a long body at 15 deg/s, its products two sigmas off, every start near the truth was dropped there, and an alias that
-    fits was decided. Then several pairs are tried if only the Sun is measured. With another sensor each pair of samples determines
-    the whole rotation between them: two spinners with a magnetometer were found from one pair, and three took all the computing
-    budget.
+    fits was decided. Then several pairs are tried if only the Sun is measured. With another sensor each pair determines the whole
+    rotation between its samples: two spinners with a magnetometer were found from one, and three took all the computing budget.
     """
     if len(images_of(model)) > 1:
         # panels bound the Sun so little that no start of a pair may be near the truth
@@ -131,10 +129,7 @@ def pairs_to_try(model: Model, s: SearchSettings) -> int:
 
 
 def _ordered_pairs(model: Model) -> np.ndarray:
-    """Return the index of the first sample of each pair of neighbours (n - 1), the most promising pair first.
-
-    A pair is promising if its interval is short, and if both samples see the Sun and determine its direction.
-    """
+    """Return the first sample of each pair of neighbours (n - 1), first those close in time that determine the Sun's direction."""
     obs = model.obs
     sharp = [any(len(term.starts(i).directions) for term in obs.terms) for i in range(len(obs))]
     # if no sample sees the Sun, as with a magnetometer alone, that distinguishes none
@@ -153,8 +148,7 @@ def gyro_decides(model: Model, first: int) -> bool:
 def _constant_rate_holds(model: Model, first: int) -> bool:
     """Return whether a rate is nearly constant in the body from sample `first` to the next, for unequal moments and wheels."""
     low, middle, high = np.linalg.eigvalsh(model.body.inertia)
-    # Both turn the vector of the rate in the body, rad/s. By Euler's equations, unequal moments turn a rate w by about w times
-    # their difference over the middle one.
+    # rad/s at which both turn the vector of the rate in the body; by Euler's equations moments do by their relative difference
     by_wheels = nutation(model.body.inertia, model.obs.momentum[first : first + 2]).max()
     by_moments = model.rate_max * (high - low) / middle
     interval_s = model.obs.t_s[first + 1] - model.obs.t_s[first]
@@ -233,16 +227,14 @@ def constant_rates(
 ) -> np.ndarray:
     """Return constant rates (m, 3), up to `rate_max`, that move the Sun in the body from `first` (3) to `second` (3) in `dt` s.
 
-    The axes of such rotations lie on the great circle that halves the angle between the two, through their middle m and the unit
-    vector n normal to both. A rotation by the angle a, about an axis at the angle b from both directions, takes one to the other if
-    sin b = sin(apart / 2) / sin(a / 2). The axis is then cos(b) / cos(apart / 2) m plus the rest along n. The rotation vectors of
-    neighbouring rates are about `step_rad` apart.
+    The axes of such rotations lie on the great circle that halves the angle between the two, through their middle m and their unit
+    normal n. A rotation by the angle a, about an axis at the angle b from both directions, takes one to the other if sin b =
+    sin(apart / 2) / sin(a / 2). The axis is then cos(b) / cos(apart / 2) m plus the rest along n. `step_rad`: spacing of rotations.
     """
     apart = float(np.arccos(np.clip(first @ second, -1, 1)))
     middle, normal = first + second, np.cross(first, second)
-    if (
-        np.linalg.norm(normal) < 1e-6
-    ):  # the same direction, or the opposite one: any axis normal to it
+    # the same direction, or the opposite one: any axis normal to it
+    if np.linalg.norm(normal) < 1e-6:
         normal = np.cross(first, np.eye(3)[np.argmin(np.abs(first))])
     if np.linalg.norm(middle) < 1e-6:
         middle = np.cross(normal, first)
@@ -289,8 +281,7 @@ def _spaced(path: np.ndarray, step: float) -> np.ndarray:
 def aliases(motions: Track, model: Model, s: AlternativeSettings) -> Track:
     """Return motions (K) with whole revolutions more and fewer about their angular momentum L between the samples.
 
-    They turn in the mean at most at the largest rate of the model. The result is empty if no such alias shows the same attitudes at
-    the samples, since these are uneven, or if a gyro excludes them.
+    None exceeds the largest rate in the mean. The result is empty if the samples are uneven or a gyro excludes aliases.
 
     L is fixed in space for a free body: whole revolutions more about it between even samples show the same attitudes, and change
     the rate by a vector along L. How L moves in the body follows from the part of |L| I^-1 that differs between the axes. If the
@@ -375,7 +366,7 @@ def _momenta(
 def _alias_step(model: Model, s: AlternativeSettings) -> float | None:
     """Return by how much (rad/s) one revolution more between the closest two samples changes the rate.
 
-    None if no such alias is possible: it makes no whole revolutions between other samples, or a gyro excludes it.
+    None if that makes no whole revolutions between other samples, or a gyro excludes it.
     """
     dt = np.diff(model.obs.t_s)
     first = int(np.argmin(dt))
@@ -387,10 +378,7 @@ def _alias_step(model: Model, s: AlternativeSettings) -> float | None:
 
 
 def _errors_of_body(body: Body, rates: np.ndarray, otherwise: np.ndarray) -> np.ndarray:
-    """Return the errors (K, e) of the inertia, in sigmas, of bodies whose I^-1 is proportional to `rates` (K, 3, 3), rad/s.
-
-    If no body has such an inertia they are `otherwise` (K, e).
-    """
+    """Return the errors (K, e), in sigmas, of inertias whose inverse is proportional to `rates` (K, 3, 3); if none, `otherwise`."""
     lowest, _, highest = np.linalg.eigvalsh(rates).T
     # all of one sign: they are negative if the body turns the other way about L
     is_inertia = (lowest > 0) | (highest < 0)
@@ -457,9 +445,9 @@ def fine_up_to(model: Model, s: SearchSettings) -> float:
 def _loosen_terms(model: Model, sample: int, apart_rad: float) -> Model:
     """Return the model with larger errors of its readings: by how much a motion that starts at `sample` may be off at each sample.
 
-    Starts are `apart_rad` apart, as rotations from `sample` to the next one. In addition, unknown torques and errors of the inertia
-    change the motion the more, the farther away a sample is: an inertia off by three percent turned a long body with 9 deg/s by 0.2
-    rad from sample to sample, 37 s apart.
+    Starts are `apart_rad` apart, as rotations from `sample` to the next one. Unknown torques and errors of the inertia also change
+    a motion, the more the farther a sample is away: three percent of the inertia turned a long body with 9 deg/s by 0.2 rad in 37
+    s.
     """
     obs, q = model.obs, model.noise.acceleration
     away = np.abs(obs.t_s - obs.t_s[sample])  # s
@@ -473,10 +461,7 @@ def _loosen_terms(model: Model, sample: int, apart_rad: float) -> Model:
 
 
 def _best_starts(model: Model, sample: int, pair: PairStarts, most: int) -> Track:
-    """Return the `most` starts of a pair that fit all samples of the model best, propagated to them from `sample`.
-
-    The slowest of all starts is among them, even if it is not among the best.
-    """
+    """Return the `most` starts at `sample` that fit all samples of the model best, the slowest among them, propagated to these."""
     loose = _loosen_terms(model, sample, pair.apart_rad)
     tracks, costs_of_parts = [], []
     for part in np.array_split(np.arange(len(pair.omega)), 1 + len(pair.omega) // AT_ONCE):

@@ -50,16 +50,14 @@ def fits_of_oscillation(
     obs = nominal.obs
     # in the time T the body turns by the wander times sqrt(T) about each axis, rad s^-0.5
     wanders = np.array(s.swings_rad) / np.sqrt(float(np.median(np.diff(obs.t_s))))
-    # Readings with gains and the like held as the best motion has them: if their uncertainty enlarged the errors instead, this
-    # would count as likelihood.
+    # with gains and the like held as the best motion has them: errors enlarged by their uncertainty would count as likelihood
     held_terms = tuple(term.held(motion.u[0, own]) for term, own in nominal.terms_with_slices)
     held = replace(obs, terms=held_terms)
     best_held = _fit_to_held(best.model, motion, held, ladder_settings)
     if not np.isfinite(best_held.log_evidence[0]):
         return []
-    # What the unknowns change in the best motion's evidence, and readings that are left out when they are held, count for the
-    # oscillation too. By the cost alone a true rotation once stood 12 below an oscillation: its gains, lights and zeros had cost it
-    # 28, and the oscillation nothing.
+    # What the unknowns change in the best motion's evidence, and readings that `held` lacks, count for the oscillation too. Else a
+    # true rotation once stood 12 below an oscillation: its gains, lights and zeros had cost it 28, and the oscillation nothing.
     of_unknowns = float(best.log_evidence.max() - best_held.log_evidence[0])
     constant = of_unknowns + log_left_out(nominal) + nominal.log_prior
     # what the log of the mean likelihood must be at least
@@ -73,14 +71,12 @@ def fits_of_oscillation(
     for wander, log_likelihood in zip(wanders, log_mean_likelihood(held, wanders), strict=True):
         if log_likelihood < least:
             continue
-        # torques that turn the body less over the pass than the oscillation does hardly change the sum: it counts under each of
-        # them
+        # torques that turn the body less over the pass than the oscillation does hardly change the sum: each of them counts
         weak = [rung for rung in ladder_settings.rungs if rung * span_s / np.sqrt(3) <= wander]
         for rung in weak or [min(ladder_settings.rungs)]:
             model = replace(nominal, noise=Noise(rung, rate=float(wander)), what=SWINGS)
             fitted = fit(model, at_rest, 8)
-            # The mean rate is near rest: the readings leave this share of the rates that were possible before, the ratio of the
-            # roots of the determinants of both covariances.
+            # the share of the prior of the rate that the readings leave near rest: ratio of the roots of both determinants
             log_root = np.linalg.slogdet(fitted.motions.covariance[:, 0, RATE, RATE])[1] / 2
             log_share = log_root - 3 * np.log(nominal.rate_sigma)
             log_evidence = log_likelihood + log_share + constant
@@ -91,8 +87,7 @@ def fits_of_oscillation(
 def _fit_to_held(model: Model, motion: Track, held: Observations, s: LadderSettings) -> Fit:
     """Return the fit of a motion (K = 1) of `model` to readings `held`, whose terms have their unknowns held (`Term.held`).
 
-    The unknowns of the body stay free, and so do those of terms that have some even then. As in other fits, the evidence is summed
-    over the sizes of their sigmas.
+    The unknowns of the body stay free, and so do those of terms that have some even then. Evidence is summed as in other fits.
     """
     slices = zip(held.terms, model.term_slices, strict=True)
     free = [motion.u[:, own] for term, own in slices if term.unknowns()]
@@ -109,10 +104,7 @@ def harmonics() -> tuple[np.ndarray, np.ndarray]:
     l is the degree of each. They are orthonormal: parts of the complex ones, those of an order above zero times sqrt(2).
     """
     x, y, z = sphere(EVERYWHERE).T
-    # all pairs with order <= degree
-    degree, order = (
-        part[np.tril_indices(DEGREE + 1)] for part in np.indices((DEGREE + 1, DEGREE + 1))
-    )
+    degree, order = np.tril_indices(DEGREE + 1)  # all pairs with order <= degree
     values = sph_harm_y(degree, order, np.arccos(z)[:, None], np.arctan2(y, x)[:, None])
     values = values * np.where(order > 0, np.sqrt(2.0), 1.0)
     values = np.concatenate([values.real, values.imag[:, order > 0]], axis=1)
@@ -150,8 +142,8 @@ def _upper_bound(model: Model, motion: Track, wander: np.ndarray) -> np.ndarray:
     """Return an approximate upper bound (w) of :func:`log_mean_likelihood` for bodies that wander by `wander` (w), rad s^-0.5.
 
     Each sample counts the share that its reading allows of the directions that the Sun may have reached since the sample before.
-    The errors of the readings are those at one motion (K = 1), which must fit. The bound takes little time, and is far below the
-    evidence of any fit if readings are sharp.
+    The errors of the readings are those at one motion (K = 1), which must fit. It is quickly computed, and low if readings are
+    sharp.
     """
     # torques so strong that the equations of motion determine nothing: the matrix is that of the readings
     readings_only = replace(model, noise=Noise(1.0))

@@ -4,8 +4,7 @@ Wheels without measured speeds are held at their nominal speed, or coast from it
 
 Signs of a wheel's axis and speed are conventions, so the other sign is tried. A wheel turns the vector of the rate in the body.
 Half a revolution forward and half a revolution back between two samples end alike, so a wheel of the wrong sign may fit as well,
-with another motion. A reversed wheel is named if it clearly fits better than the wheel in the file. If both signs fit alike, the
-file is believed.
+with another motion. A reversed wheel is named if it clearly fits better than the wheel in the file, which else is believed.
 """
 
 from __future__ import annotations
@@ -35,8 +34,7 @@ EVIDENCE = " (evidence "
 """What separates the name of a wheel model from its evidence, in words."""
 
 FAR = 20.0
-"""Reversed wheels are not fitted if a quick search finds their log evidence worse by this. It is large, as that search holds the
-inertia."""
+"""Reversed wheels are not fitted if a quick search, which holds the inertia, finds their log evidence worse by this."""
 
 WRAPPED_RAD = 10.0
 """Wheels that turn the rate by more than this between samples are not reversed: at 42 rad one of five right files was doubted."""
@@ -63,8 +61,7 @@ class DecidedWheels:
 class Reversed:
     """`wheels`, by their numbers, that may turn the other way, and the `gain` in log evidence if they do.
 
-    The longest pass is estimated with them reversed: whether it `fits`, its times `t_s` (n), s, rates `omega` (n, 3), rad/s, and
-    directions to the Sun `sun_B` (n, 3).
+    Of the longest pass with them reversed: whether it `fits`, times `t_s` (n), rates `omega` (n, 3), Sun directions `sun_B` (n, 3).
     """
 
     wheels: tuple[int, ...]
@@ -99,8 +96,8 @@ def decide_wheels(
         for k in compared
     }
 
-    # If a wheel model turns the body nearly as the first one does, its motions are nearly the same: its fits begin from those under
-    # the first, without a search. All other models are searched, side by side.
+    # Wheel models that turn the body nearly as the first one does have nearly its motions: their fits begin from these, without a
+    # search. All other models are searched, side by side.
     s = fitter.settings.search
     alike = [
         name
@@ -130,8 +127,7 @@ def decide_wheels(
     total = {name: sum(evidence[name, k] for k in compared) for name in momenta}
     best, second = sorted(total, key=lambda name: total[name], reverse=True)[:2]
     words = f"{best}{EVIDENCE}{total[best] - total[second]:.1f} above any other)"
-    of_best = {k: fits[best, k] for k in compared}
-    done = {k: pass_fits for k, pass_fits in of_best.items() if pass_fits is not None}
+    done = {k: of_pass for k in compared if (of_pass := fits[best, k]) is not None}
     return DecidedWheels(best, words, momenta[best], done)
 
 
@@ -184,8 +180,7 @@ def reversed_momenta(
     """Return the total momentum (n, 3) with each wheel reversed, and with all, by the numbers of those that are reversed.
 
     Wheels are left out if they hardly turn the rate of the body in the whole file, or turn it by more than :data:`WRAPPED_RAD`
-    between two samples. `of_wheels` (n_wheel, n, 3): momenta in mean moments times rad/s with the signs of the file, at times `t_s`
-    (n), s. `inertia` (3, 3) is in mean moments.
+    between two samples. `of_wheels` (n_wheel, n, 3): momenta with the signs of the file, and `inertia` (3, 3), in mean moments.
     """
     momenta: dict[tuple[int, ...], np.ndarray] = {}
     if not of_wheels.any():
