@@ -2,8 +2,9 @@
 
 Each is fitted from the motions of the nominal model, and has the same prior probability unless it says otherwise. Sigmas are never
 enlarged by hand: an alternative that explains the readings adds its own motion and errors to the sum. Samples between the kept ones
-are propagated to by the equations of the nominal model (:func:`sunspin.estimate.dense.filled`). So an alternative may add torques
-and change sensors, but not the momentum of the wheels, which :func:`sunspin.estimate.wheels.decide_wheels` decides for the file.
+are propagated to by the equations of the nominal model (:func:`sunspin.estimate.dense.propagate_to_all`). So an alternative may add
+torques and change sensors, but not the momentum of the wheels, which :func:`sunspin.estimate.wheels.decide_wheels` decides for the
+file.
 """
 
 from __future__ import annotations

@@ -22,10 +22,10 @@ MOST_NUTATION_RAD = 800.0
 """Angle by which wheels may turn the vector of the rate between two samples: 2 rad in each step, which the integration follows."""
 
 DIFFERENCE = 1e-5
-"""For the derivative by the rate at the start it is changed by this angle (rad) over the interval."""
+"""For derivatives by the rate at the start: change of the rate times the interval, rad."""
 
 INERTIA_DIFFERENCE = 0.02
-"""For the derivative by an error of the inertia this is changed by so many sigmas."""
+"""For derivatives by an error of the inertia: change of the error, in its sigmas."""
 
 TURN, RATE = slice(0, 3), slice(3, 6)
 """Where a small rotation (rad, body axes) and the rate (rad/s) stand among the six numbers of a change of state."""
@@ -46,7 +46,7 @@ class Step(NamedTuple):
 
 
 def nutation(inertia: np.ndarray, momentum: np.ndarray) -> np.ndarray:
-    """Return the angular frequency (..., n), rad/s, of the nutation by wheels: they turn the vector of the rate in the body at it.
+    """Return the angular frequency (..., n), rad/s, at which wheels turn the vector of the rate in the body: that of the nutation.
 
     `inertia` (..., 3, 3) in mean moments; `momentum` (n, 3) of the wheels in mean moments times rad/s. The wheels add I^-1 (w x h)
     to dw/dt; the eigenvalues of I^-1 [h x] are 0 and +-i sqrt(h.I h / det I).
@@ -129,8 +129,8 @@ def _constant_rate_step(omega: np.ndarray, dt: np.ndarray, derivatives: bool) ->
     """Return motions with constant rates `omega` (K, n, 3) in body axes after intervals `dt` (n), with derivatives if wanted.
 
     They are those of a sphere without wheels. The body turns by the angle x about the axis a. A change dw of the rate adds the turn
-    dw dt u in each part du of the interval, in the body axes of that instant. So the derivative of the turn at the end is dt times
-    the mean, over u from 0 to 1, of the matrices of rotations by x u about a (sinc(x) = sin(x) / x):
+    dw dt du in each part du of the interval, which the rest of the rotation, by x u, carries to the axes of the end. So the
+    derivative of the turn at the end is dt times the mean of these rotation matrices over u from 0 to 1 (sinc(x) = sin(x) / x):
 
         sinc(x) I + (1 - sinc(x)) a a^T - (1 - cos x) / x [a x].
     """

@@ -10,7 +10,7 @@ from sunspin.estimate.carry import RATE
 from sunspin.estimate.model import Track
 from sunspin.estimate.settings import SearchSettings
 
-SUN_SHARE, WHOLE_SHARE = 0.35, 0.7
+SUN_WEIGHT, WHOLE_WEIGHT = 0.35, 0.7
 """Weights, relative to rotations between neighbouring samples, of the Sun's directions and of rotations since the middle sample.
 
 Directions distinguish mirror images; with a larger weight they would also part motions on their way to the same minimum. Rotations
@@ -53,7 +53,7 @@ class Outline(NamedTuple):
         other, by the covariance of each. That of one is not enough: a broad minimum may reach over narrow ones, which are others.
         """
         steps_alike = self._steps_alike(k, others, apart_rad)
-        whole_alike = _nowhere_farther(self.whole[k], others.whole, apart_rad / WHOLE_SHARE)
+        whole_alike = _nowhere_farther(self.whole[k], others.whole, apart_rad / WHOLE_WEIGHT)
         in_valley = self._rates_agree(k, others, steps_alike & ~whole_alike, sigmas, joint=False)
         return (steps_alike & whole_alike) | in_valley
 
@@ -66,14 +66,14 @@ class Outline(NamedTuple):
         of their rates is within `sigmas` of its covariance: minima so near to each other are one motion with a larger error.
         """
         alike = self._steps_alike(k, others, apart_rad)
-        alike &= _nowhere_farther(self.whole[k], others.whole, apart_rad / WHOLE_SHARE)
+        alike &= _nowhere_farther(self.whole[k], others.whole, apart_rad / WHOLE_WEIGHT)
         near = _nowhere_farther(self.steps[k], others.steps, near_rad)
         near &= _nowhere_farther(self.sun[k], others.sun, near_rad)
         return alike | self._rates_agree(k, others, near & ~alike, sigmas, joint=True)
 
     def _steps_alike(self, k: int, others: Outline, apart_rad: float) -> np.ndarray:
         """Return which of `others` (K) see the Sun as motion `k` does and rotate like it between neighbours, to `apart_rad`."""
-        suns = _nowhere_farther(self.sun[k], others.sun, apart_rad / SUN_SHARE)
+        suns = _nowhere_farther(self.sun[k], others.sun, apart_rad / SUN_WEIGHT)
         return _nowhere_farther(self.steps[k], others.steps, apart_rad) & suns
 
     def _rates_agree(

@@ -1,7 +1,7 @@
 """Motions carried from the samples to which they were fitted to all others, and the misfit of each sensor there.
 
 Between two kept samples a motion is propagated forward from the first and backward from the second by the equations of motion, and
-the two are blended. Unknown torques in between are white angular acceleration; as both ends are known, their error is a bridge.
+the two are blended. Unknown torques in between are white angular acceleration between known ends: a Brownian bridge.
 """
 
 from __future__ import annotations
@@ -24,11 +24,11 @@ COARSE_RAD, MOST_COARSE = 0.5, 60_000
 """If it takes more, they turn by this angle: less than 30 degrees, so that interpolation goes the right way round. The last number
 of instants, 8 hours at 60 deg/s, takes 90 MB while it is computed."""
 
-TOGETHER = 1e-4
+SAME_INSTANT = 1e-4
 """An instant of a curve is taken for a sample if it is nearer to it than this part of the time between two instants."""
 
 
-def filled(
+def propagate_to_all(
     model: Model, motions: Track, t_s: np.ndarray, momentum: np.ndarray, noise: np.ndarray
 ) -> tuple[Track, np.ndarray]:
     """Return K motions at all N samples of a pass, and the derivative (K, n, 3, 6) of their mean rate over these.
@@ -116,13 +116,13 @@ def curve(model: Model, motion: Track, noise: float) -> tuple[np.ndarray, Track]
     most = max(MOST_INSTANTS, min(np.ceil(turned / COARSE_RAD), MOST_COARSE))
     count = int(np.clip(np.ceil(turned / CURVE_RAD), LEAST_INSTANTS, most)) + 1
     instants = np.linspace(t_s[0], t_s[-1], count)
-    near_s = (instants[1] - instants[0]) * TOGETHER
+    near_s = (instants[1] - instants[0]) * SAME_INSTANT
     # the motion is computed at all samples and instants in one order; an instant that is near a sample is replaced by it
     next_instant = np.minimum(np.searchsorted(instants, t_s - near_s), count - 1)
     is_sample = np.abs(instants[next_instant] - t_s) <= near_s
     times = np.union1d(np.delete(instants, next_instant[is_sample]), t_s)
     wheels = np.stack([np.interp(times, t_s, part) for part in momentum.T], axis=1)
-    track, _ = filled(model, motion, times, wheels, np.full(len(spans), noise))
+    track, _ = propagate_to_all(model, motion, times, wheels, np.full(len(spans), noise))
     at = np.searchsorted(times, instants - near_s)
     return instants, Track(
         track.attitude[:, at], track.omega[:, at], track.u, covariance=track.covariance[:, at]
@@ -136,8 +136,7 @@ def residuals_by_sensor(
 
     `obs`, `track`: readings and motions at all samples of a pass. `model`: of the kept samples, to which the motions were fitted;
     `kept` (n): indices of these. At all others the covariance of the motion is added to that of a reading, since the motion was not
-    fitted to it. Errors that the vehicle file does not state (`Unknown.doubted`) are zero: a sensor must agree with the file to
-    fit.
+    fitted to it. Errors that the vehicle file does not state (`Unknown.doubted`) are zero: to fit, a sensor must agree with it.
     """
     was_fitted = np.isin(np.arange(len(obs)), kept)
     spread = np.where(was_fitted[:, None, None], 0.0, track.covariance)

@@ -30,8 +30,7 @@ class PassFits:
     """All fits of one pass, whose nominal model is `nominal`.
 
     `fits`: one for each model and strength of unknown torques. `rungs` (r): these strengths, rad/s^1.5; `log_rung` (r): logs of
-    their prior probabilities. `used`: motions times samples that were fitted. `cut`: whether the computing budget left something
-    out.
+    their prior probabilities. `used`: motions times samples that were fitted. `cut`: the budget was used up before all was tried.
     """
 
     nominal: Model
@@ -86,7 +85,7 @@ def ladder(
         """Fit the rungs of `path` one after the other and add the fits to `fits`; return the last fit and its rung.
 
         The first begins at the motions of the fit `begin`, on the rung `begin_rung`, each next one where the fit before ended. What
-        is added to `fits` is the fit after its sum over the sizes of its sigmas (`over_shares`).
+        is added to `fits` is the fit after its sum over the sizes of its sigmas (`sum_over_shares`).
         """
         last, last_rung = begin, begin_rung
         for rung in path:
@@ -124,7 +123,7 @@ def ladder(
 def _fit_and_select(
     model: Model, motions: Track, steps: int, s: LadderSettings, search_settings: SearchSettings
 ) -> tuple[Fit, Fit]:
-    """Fit motions and select from them; return the fit, and the same fit summed over the sizes of its sigmas (:func:`over_shares`).
+    """Fit motions and select from them; return the fit, and the same fit summed over the sizes of its sigmas (`sum_over_shares`).
 
     Copies and hopeless motions are left out of both. The evidence after the sum decides what is hopeless: a motion that needs only
     a small torque is far more probable under a small sigma of it than under the largest one, under which it is fitted.
@@ -141,7 +140,7 @@ def _fit_and_select(
             begin = fitted.motions.take(np.flatnonzero(rises))
             lower = fit(model, begin, steps, s.tolerance, along_equations=True)
             fitted = _join_fits([fitted.take(np.flatnonzero(~rises)), lower])
-    summed = over_shares(fitted, s.beyond_fit)
+    summed = sum_over_shares(fitted, s.beyond_fit)
     which = _distinct_motions(summed, s, search_settings)
     return fitted.take(which), summed.take(which)
 
@@ -171,12 +170,12 @@ def _distinct_motions(
     return distinct(fitted.motions, t_s, search_settings, drop=s.hopeless, order_by=order_by)
 
 
-def over_shares(fitted: Fit, beyond_fit: float) -> Fit:
+def sum_over_shares(fitted: Fit, beyond_fit: float) -> Fit:
     """Return a fit (K motions) summed over the possible sizes of its prior sigmas: evidence, means and covariances of the mixture.
 
     The prior sigma of a quantity of unknown size, as of a torque, is the largest one times one of several equally likely factors,
     its shares (:class:`Unknown`). The fit is made under the largest sigmas. For the others its evidence and its Gaussian change by
-    formulas (:func:`_with_shares`, also for `beyond_fit`); all other unknowns and the states follow by their covariance.
+    formulas (:func:`_posterior_under_shares`, also for `beyond_fit`); all other unknowns and the states follow by their covariance.
     """
     # indices of the unknowns whose sigma has several sizes, by their kind: all of a kind have the same size
     groups: dict[str, list[int]] = {}
@@ -192,7 +191,7 @@ def over_shares(fitted: Fit, beyond_fit: float) -> Fit:
     valid = np.linalg.eigvalsh(of_shared)[:, 0] > 0
     of_shared = np.where(valid[:, None, None], of_shared, np.eye(len(shared)))
     precision = np.linalg.pinv(of_shared, hermitian=True)
-    gain, mean, covariance = _with_shares(fitted, groups, precision, valid, beyond_fit)
+    gain, mean, covariance = _posterior_under_shares(fitted, groups, precision, valid, beyond_fit)
 
     # mean and covariance of the mixture over the c combinations of shares
     weight = np.exp(gain - logsumexp(gain, axis=0))
@@ -225,7 +224,7 @@ def over_shares(fitted: Fit, beyond_fit: float) -> Fit:
     )
 
 
-def _with_shares(
+def _posterior_under_shares(
     fitted: Fit,
     groups: dict[str, list[int]],
     precision: np.ndarray,

@@ -15,10 +15,10 @@ from sunspin.estimate.model import Model, Track
 from sunspin.estimate.settings import SearchSettings
 from sunspin.estimate.terms.panels import Panels
 
-FAMILIES = 6
+MOST_FAMILIES = 6
 """Motions whose images are added, at most."""
 
-OPPOSITE, SAME_SIGMAS = -0.9, 3.0
+OPPOSITE_COSINE, SAME_SIGMAS = -0.9, 3.0
 """Two motions see the Sun on opposite sides if the cosine between its directions is below the first, and have the same rate if
 their rates differ by less than the second, in sigmas."""
 
@@ -34,8 +34,8 @@ def images_of(model: Model) -> np.ndarray:
 def imaged(motions: Track, image: np.ndarray) -> Track:
     """Return motions after a mirror or rotation `image` (3, 3) of body axes, without cost and covariance.
 
-    Rates are axial vectors: a mirror also reverses their sign. It mirrors the x axis of N too, so that an attitude stays a
-    rotation.
+    Rates are axial vectors: a mirror also reverses their sign. It mirrors the x axis of N too, to make the attitude a rotation
+    again.
     """
     sign = np.sign(np.linalg.det(image))  # -1 for a mirror
     attitude = image @ motions.attitude @ np.diag([sign, 1.0, 1.0])
@@ -43,7 +43,7 @@ def imaged(motions: Track, image: np.ndarray) -> Track:
 
 
 def with_images(motions: Track, model: Model, s: SearchSettings) -> Track:
-    """Return motions and the images of the :data:`FAMILIES` best of them that are not images of each other.
+    """Return motions and the images of the :data:`MOST_FAMILIES` best of them that are not images of each other.
 
     `motions`: the best first. All of them come first in the result too, then the images; none has cost or covariance.
     """
@@ -61,7 +61,7 @@ def with_images(motions: Track, model: Model, s: SearchSettings) -> Track:
         family = Track.joined([imaged(motion, image) for image in images])
         outlines_of_families.append(Outline.of(family, t_s))
         added.append(family.take(slice(1, None)))  # without the motion itself
-        if len(added) == FAMILIES:
+        if len(added) == MOST_FAMILIES:
             break
     unfitted = Track(motions.attitude, motions.omega, motions.u)
     return Track.joined([unfitted, *added])
@@ -69,7 +69,9 @@ def with_images(motions: Track, model: Model, s: SearchSettings) -> Track:
 
 def either_side(motions: Track) -> np.ndarray:
     """Return which motions (K) are the first one, or have its rates and see the Sun on the opposite side at all samples."""
-    opposite = np.einsum("kni,ni->kn", motions.sun_B, motions.sun_B[0]).max(axis=1) < OPPOSITE
+    opposite = (
+        np.einsum("kni,ni->kn", motions.sun_B, motions.sun_B[0]).max(axis=1) < OPPOSITE_COSINE
+    )
     # (n) of the size of the rate vector's error: root of the trace of the covariance
     sigma = np.sqrt(np.einsum("nii->n", motions.covariance[0, :, RATE, RATE]))
     off = np.linalg.norm(motions.omega - motions.omega[0], axis=-1)

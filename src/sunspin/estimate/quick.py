@@ -49,10 +49,10 @@ def quick_evidence(
             rung = RUNGS.index(fitted.model.noise.acceleration)
             log_evidence[rung] = np.logaddexp(log_evidence[rung], logsumexp(fitted.log_evidence))
     panels = (term for term in nominal.obs.terms if isinstance(term, Panels))
-    return float(log_evidence.max()) - sum(map(log_size, panels))
+    return float(log_evidence.max()) - sum(map(sum_of_log_sigmas, panels))
 
 
-def log_size(panels: Panels) -> float:
+def sum_of_log_sigmas(panels: Panels) -> float:
     """Return the sum of the logs of all sigmas of readings and of brightness: the norm of their likelihood, which costs leave out.
 
     Since the sigmas depend on the order of the columns, evidence that compares such orders needs the norm. A reading that is left

@@ -37,7 +37,7 @@ from sunspin.estimate.observe import (
 from sunspin.estimate.one_pass import PassFitter
 from sunspin.estimate.orbit.calibration import FieldCalibration, calibrate_magnetometer
 from sunspin.estimate.periods import PeriodSeen, weigh_by_periods, without_periods
-from sunspin.estimate.quick import log_size
+from sunspin.estimate.quick import sum_of_log_sigmas
 from sunspin.estimate.rates_dataset import (
     latency_attributes,
     motion_dataset,
@@ -64,13 +64,13 @@ from sunspin.vehicle import Vehicle
 NOISE_RANGE = (1e-9, 1.0)
 """Accepted strengths of unknown torques, rad/s^1.5: from 2e-5 deg/s in a day to a revolution in 20 s."""
 
-ALONG_Z = 1e-6
+OFF_Z = 1e-6
 """The Sun of an environment may be off the z axis by this, as a vector."""
 
 WIDE_RAD = 1.0
 """A sample determines the direction to the Sun if all directions that it allows are nearer to each other than this."""
 
-UNSEEN_RAD = 0.05
+NUTATION_RAD = 0.05
 """If the torques turn a body of unknown inertia by more between the closest two samples, they may stand for a nutation."""
 
 
@@ -315,7 +315,7 @@ def along_the_sun(environment: Environment | None) -> Environment | None:
         return SunAlongZ(environment)
     if environment is not None and not isinstance(environment, SunAlongZ):
         sun = environment.at(0.0).sun_N[0]
-        if np.linalg.norm(sun - SUN_N) > ALONG_Z:
+        if np.linalg.norm(sun - SUN_N) > OFF_Z:
             raise InputError(
                 "rates needs an environment with z of its N to the Sun",
                 got=f"the Sun at {np.round(sun, 3)}",
@@ -404,9 +404,8 @@ def require_directions(nominal: Model, passes: Sequence[Pass]) -> None:
 
 def common_noise(fits: Sequence[PassFits]) -> float:
     """Return the most probable strength of unknown torques (rad/s^1.5), assuming that it is the same in all passes."""
-    log_evidence = np.array(
-        [pass_fits.log_evidence_of_rungs() for pass_fits in fits]
-    )  # (pass, rung)
+    # (pass, rung)
+    log_evidence = np.array([pass_fits.log_evidence_of_rungs() for pass_fits in fits])
     total = log_evidence.sum(axis=0)
     if not np.isfinite(total).any():
         # every strength is without a fit in some pass: the one with the fewest such passes
@@ -426,7 +425,7 @@ def log_evidence_of_passes(
         panels = [term for term in pass_fits.nominal.obs.terms if isinstance(term, Panels)]
         silent = cost_of_silent_panels(assessment, a_pass.kept) if panels else 0.0
         evidence = logsumexp(pass_fits.log_evidence_of_rungs()) - np.log(len(pass_fits.rungs))
-        log.append(float(evidence - sum(map(log_size, panels)) - silent))
+        log.append(float(evidence - sum(map(sum_of_log_sigmas, panels)) - silent))
     return log
 
 
@@ -451,7 +450,7 @@ def left_open_by_search(
         model = pass_fits.nominal
         # torques of the strength q turn a body by q sqrt(T^3 / 3) over the shortest interval T
         shortest_s = float(np.diff(model.obs.t_s).min())
-        far = of_pass.noise[0] * np.sqrt(shortest_s**3 / 3) > UNSEEN_RAD
+        far = of_pass.noise[0] * np.sqrt(shortest_s**3 / 3) > NUTATION_RAD
         strong = of_pass.noise[0] >= settings.ladder.strong
         reasons = []
         if pass_fits.cut:

@@ -23,7 +23,7 @@ from sunspin.estimate.rates import rates
 from sunspin.estimate.settings import RATES, RatesSettings
 from sunspin.vehicle import Vehicle
 
-SAMPLES = 7
+WINDOW_SAMPLES = 7
 """Samples of a window, about. Passes of up to six samples are also tried without each of them, which takes four times as long."""
 
 MOST_WINDOWS = 40
@@ -32,10 +32,10 @@ MOST_WINDOWS = 40
 FEWEST_WINDOWS = 3
 """Windows with a single solution that fits, at least, for a conclusion about a pass."""
 
-MOST_FIT = 0.75
+LEAST_FITTING = 0.75
 """Share of the windows of a pass that must fit. If fewer do, readings are wrong, or the rate changes within a window."""
 
-SIGMAS = 4.0
+SIGMAS_APART = 4.0
 """Sigmas by which the sizes of the momentum in two windows must differ, for a rate that changes as no free body's does."""
 
 DOUBTED = "columns, signs or axes of the file are in doubt"
@@ -76,7 +76,7 @@ def rates_in_windows(
     for k, count in zip(failed, counts, strict=True):
         # the passes share the windows of a file by their samples
         most = max(FEWEST_WINDOWS, int(MOST_WINDOWS * count / sum(counts)))
-        number = min(round(count / SAMPLES), most)
+        number = min(round(count / WINDOW_SAMPLES), most)
         if number < FEWEST_WINDOWS:
             continue
         t_s = result["time"].values[result["pass_of"].values == k]
@@ -166,7 +166,7 @@ def _as_no_free_body(vehicle: Vehicle, telemetry: xr.Dataset, windows: xr.Datase
     """
     fits, sigma = windows["window_fits"].values, windows["window_sigma_B"].values
     use = np.flatnonzero(fits & windows["window_unique"].values & np.isfinite(sigma).all(axis=1))
-    if len(use) < FEWEST_WINDOWS or fits.mean() < MOST_FIT:
+    if len(use) < FEWEST_WINDOWS or fits.mean() < LEAST_FITTING:
         return ""
     body, omega = Body.of(vehicle), windows["window_omega_B"].values[use]
     times = windows["window_time"].values[use]
@@ -175,9 +175,8 @@ def _as_no_free_body(vehicle: Vehicle, telemetry: xr.Dataset, windows: xr.Datase
     fast = slow = 0
     # wheels without a measured speed may be held or coast: neither may explain the change
     for wheels in wheel_models(vehicle, telemetry).values():
-        momentum = (
-            omega @ body.inertia + wheels[nearest_row]
-        )  # H = I w + h, in mean moments times rad/s
+        # H = I w + h, in mean moments times rad/s
+        momentum = omega @ body.inertia + wheels[nearest_row]
         size = np.linalg.norm(momentum, axis=1)
         along = momentum / np.maximum(size, 1e-12)[:, None]
         # |H| changes by H/|H| . (I dw) with the rate, and by H/|H| . (dI w) with one sigma of each error of the inertia
@@ -187,7 +186,7 @@ def _as_no_free_body(vehicle: Vehicle, telemetry: xr.Dataset, windows: xr.Datase
         # (window, window) differences in sigmas, and the pair with the largest one
         apart = (size[:, None] - size) / np.hypot(error[:, None], error)
         fast, slow = map(int, np.unravel_index(int(np.argmax(apart)), apart.shape))
-        if not apart[fast, slow] > SIGMAS:
+        if not apart[fast, slow] > SIGMAS_APART:
             return ""
     high, low = np.degrees(np.linalg.norm(omega[[fast, slow]], axis=1))
     return (

@@ -11,7 +11,7 @@ from scipy.special import logsumexp
 from sunspin.estimate.carry import RATE
 from sunspin.estimate.chain import Fit, variance_of
 from sunspin.estimate.copies import Outline
-from sunspin.estimate.dense import filled, residuals_by_sensor
+from sunspin.estimate.dense import propagate_to_all, residuals_by_sensor
 from sunspin.estimate.evidence import PassFits
 from sunspin.estimate.model import AS_STATED, Model, Observations, Track
 from sunspin.estimate.settings import SearchSettings, SolutionSettings
@@ -24,7 +24,7 @@ ESTIMATED = ("steady_torque", "gyro_zero", "gyro_scale", "rate_size_scale", "clo
 ARRAYS = ("probability", "mean", "mean_sigma", "noise")
 """Fields of `Solutions` with a row for each solution."""
 
-MEAN_COUNTS = 0.05
+LEAST_SHARE = 0.05
 """Motions with less than this share of a solution's probability do not count in the sigma of its mean rate."""
 
 
@@ -125,6 +125,7 @@ def _weighted_motions(fits: PassFits, s: SolutionSettings) -> list[WeightedMotio
     log_any_speed = [
         part + _gain_of_any_speed(fitted, s) for part, fitted in zip(log, fits.fits, strict=True)
     ]
+    # all motions under each of the two priors, one after the other
     under_priors = np.concatenate(log), np.concatenate(log_any_speed)
     weights = np.max([np.exp(part - logsumexp(part)) for part in under_priors], axis=0)
     weights = weights / weights.sum()
@@ -142,8 +143,8 @@ def _gain_of_any_speed(fitted: Fit, s: SolutionSettings) -> np.ndarray:
     A fit that did not end in a minimum has no covariance: its evidence stays as it is.
     """
     sigma = fitted.model.rate_sigma
-    # In sigmas of the prior, a narrower one adds 1 / share^2 - 1 to the precision P of the rate, of the mean m. So P' = P + that,
-    # P' m' = P m, and the log evidence changes as in `evidence.over_shares`.
+    # In sigmas of the prior, a narrower one adds 1 / share^2 - 1 to the precision P of the rate, of the mean m: P' = P + that, P'
+    # m' = P m. The log evidence changes by (m' P' m' - m P m + log det P - log det P') / 2 - 3 log share.
     covariance = np.nan_to_num(fitted.motions.covariance[:, 0, RATE, RATE]) / sigma**2
     valid = np.linalg.eigvalsh(covariance)[:, 0] > 0
     covariance = np.where(valid[:, None, None], covariance, np.eye(3))
@@ -209,7 +210,9 @@ def _solution(group: list[WeightedMotion], whole: Observations, kept: np.ndarray
         hidden += share * noise.hidden_variance(dt)
     motion = replace(head.motions, covariance=np.asarray(covariance))
     # `mean_by_kept` (1, n, 3, 6): derivative of the mean rate over the pass by turn and rate at the kept samples
-    track, mean_by_kept = filled(model, motion, whole.t_s, whole.momentum, np.sqrt(noise_square))
+    track, mean_by_kept = propagate_to_all(
+        model, motion, whole.t_s, whole.momentum, np.sqrt(noise_square)
+    )
     residual = residuals_by_sensor(whole, model, track, kept)
     # Axes of N that follow a magnetic field turn in space, at up to `axes_rad_s` about an unknown axis. A third of its square is
     # the variance of each component, also of the mean rate. An oscillation hardly changes the mean: its variance is divided by n.
@@ -217,7 +220,7 @@ def _solution(group: list[WeightedMotion], whole: Observations, kept: np.ndarray
     track.covariance[..., RATE, RATE] += (hidden + axes) * np.eye(3)
 
     # the variance of the mean rate: again that of the mixture about the first motion, without motions of small share
-    counted = np.flatnonzero((shares >= MEAN_COUNTS) | (np.arange(len(group)) == 0))
+    counted = np.flatnonzero((shares >= LEAST_SHARE) | (np.arange(len(group)) == 0))
     variance = 0.0
     for k in counted:
         # by how much its mean rate differs from that of the first

@@ -27,7 +27,7 @@ from sunspin.estimate.settings import AlternativeSettings, SearchSettings
 from sunspin.estimate.terms.term import facing
 from sunspin.vehicle.response.planes import sphere
 
-GRID, CANDIDATES, ALLOWED = 500, 10, 3.0
+SKY_DIRECTIONS, MOST_SPANNING, ALLOWED_COST = 500, 10, 3.0
 """If powers alone bound the Sun's direction at a sample: directions of the sphere that are tried (9 degrees apart), how many of the
 allowed ones are starts, and how much more an allowed one may cost than the best."""
 
@@ -43,10 +43,10 @@ GYRO_RAD = 0.5
 DENSE_RAD = 2.2
 """If the body turns by less than this between samples at the largest rate, whole revolutions more are excluded."""
 
-BLUR = 0.6
+START_ERROR = 0.6
 """Error of a start, as a share of the distance between neighbouring starts."""
 
-UNSEEN, BOUNDED = 100.0, 2.0
+UNSEEN_FACTOR, BOUNDED_FACTOR = 100.0, 2.0
 """In the order of pairs an interval counts so many times longer if a sample does not see the Sun, or only bounds its direction."""
 
 ANY_AXIS_RAD = 0.5
@@ -55,13 +55,13 @@ ANY_AXIS_RAD = 0.5
 MOST_AXES = 4000
 """Axes of whole revolutions that are tried, at most: enough for two revolutions. For more of them the axes are too few."""
 
-AT_ONCE = 4000
+STARTS_AT_ONCE = 4000
 """Starts that are propagated together, to limit the memory."""
 
 OTHER_BODIES = np.array(list(permutations((1.0, 0.0, -1.0))))
 """(6, 3) Sigmas by which the three moments differ from those of a sphere: each order of long, middle and short axis."""
 
-FINE = 200
+FAMILY_ANGLES = 200
 """Angles for which the family of rates between two directions is computed, before points at even distances are taken of it."""
 
 
@@ -135,7 +135,7 @@ def _ordered_pairs(model: Model) -> np.ndarray:
     # if no sample sees the Sun, as with a magnetometer alone, that distinguishes none
     sees_sun = obs.sees_sun | (not obs.sees_sun.any())
     # the worse the directions at both ends are, the longer the interval counts
-    penalty = np.where(sharp, 1.0, BOUNDED) * np.where(sees_sun, 1.0, UNSEEN)
+    penalty = np.where(sharp, 1.0, BOUNDED_FACTOR) * np.where(sees_sun, 1.0, UNSEEN_FACTOR)
     return np.argsort(np.diff(obs.t_s) * (penalty[1:] + penalty[:-1]), kind="stable")
 
 
@@ -210,12 +210,12 @@ def allowed_directions(model: Model, sample: int) -> np.ndarray:
     for term in model.obs.terms:
         if len(measured := term.starts(sample).directions):
             return measured
-    grid = sphere(GRID)
-    still = Track.free(facing(grid)[:, None], np.zeros((GRID, 1, 3)))
+    grid = sphere(SKY_DIRECTIONS)
+    still = Track.free(facing(grid)[:, None], np.zeros((SKY_DIRECTIONS, 1, 3)))
     cost = costs(model.obs.take(slice(sample, sample + 1)), still)[:, 0]
-    allowed = grid[cost < cost.min() + ALLOWED]
+    allowed = grid[cost < cost.min() + ALLOWED_COST]
     spanning = grid[[np.argmin(cost)]]
-    while len(spanning) < min(CANDIDATES, len(allowed)):
+    while len(spanning) < min(MOST_SPANNING, len(allowed)):
         # add the direction that is farthest from all that are taken already
         farthest = np.argmin((allowed @ spanning.T).max(axis=1))
         spanning = np.concatenate([spanning, allowed[[farthest]]])
@@ -241,11 +241,11 @@ def constant_rates(
     middle, normal = middle / np.linalg.norm(middle), normal / np.linalg.norm(normal)
     # From the smallest angle, near which most are taken as the axis changes fastest there, to pi. A rotation by more than pi is one
     # by its rest to a revolution about the opposite axis, and is added in the loop.
-    angle = apart + (np.pi - apart) * np.linspace(0.0, 1.0, FINE) ** 2
+    angle = apart + (np.pi - apart) * np.linspace(0.0, 1.0, FAMILY_ANGLES) ** 2
     sin_b = np.clip(np.sin(apart / 2) / np.maximum(np.sin(angle / 2), 1e-9), 0, 1)
     # component of the axis along the middle
     along = np.sqrt(1 - sin_b**2) / max(np.cos(apart / 2), 1e-9)
-    families = []  # curves of rotation vectors (FINE, 3) of the body
+    families = []  # curves of rotation vectors (FAMILY_ANGLES, 3) of the body
     for sign in (1.0, -1.0):  # two axes for each angle, on either side of the normal
         cosine = np.clip(sign * along, -1, 1)[:, None]
         axis = cosine * middle + np.sqrt(1 - cosine**2) * normal
@@ -333,9 +333,8 @@ def aliases_about_two_axes(motions: Track, model: Model, s: AlternativeSettings)
     if model.body.sphere and len(model.body.errors):
         # |L| I^-1 as in `aliases`; about the spin axis the rate also grows by that of the spin, if all of L were along it
         rates = size.mean() * np.linalg.inv(inertia) + about_L[:, None, None] * np.eye(3)
-        if (
-            abs(cosine) > 0.2
-        ):  # else L is nearly normal to the axis, and its moment cannot be computed
+        # else L is nearly normal to the axis, whose moment then cannot be computed
+        if abs(cosine) > 0.2:
             spin = np.outer(spin_axis, spin_axis)
             rates = rates + (about_axis / cosine)[:, None, None] * spin
         u[:, model.inertia_slice] = _errors_of_body(model.body, rates, u[:, model.inertia_slice])
@@ -446,12 +445,11 @@ def _loosen_terms(model: Model, sample: int, apart_rad: float) -> Model:
     """Return the model with larger errors of its readings: by how much a motion that starts at `sample` may be off at each sample.
 
     Starts are `apart_rad` apart, as rotations from `sample` to the next one. Unknown torques and errors of the inertia also change
-    a motion, the more the farther a sample is away: three percent of the inertia turned a long body with 9 deg/s by 0.2 rad in 37
-    s.
+    a motion, the more the farther a sample is away: three percent of the inertia turned a long body at 9 deg/s by 0.2 rad in 37 s.
     """
     obs, q = model.obs, model.noise.acceleration
     away = np.abs(obs.t_s - obs.t_s[sample])  # s
-    off_rad_s = BLUR * apart_rad / (obs.t_s[sample + 1] - obs.t_s[sample])
+    off_rad_s = START_ERROR * apart_rad / (obs.t_s[sample + 1] - obs.t_s[sample])
     off_rad_s = np.hypot(off_rad_s, model.body.wander * model.rate_max)
     # torques of the strength q turn the body by q sqrt(T^3 / 3) in the time T, and change its rate by q sqrt(T)
     drift = np.hypot(q * np.sqrt(away**3 / 3), off_rad_s * away)
@@ -461,10 +459,10 @@ def _loosen_terms(model: Model, sample: int, apart_rad: float) -> Model:
 
 
 def _best_starts(model: Model, sample: int, pair: PairStarts, most: int) -> Track:
-    """Return the `most` starts at `sample` that fit all samples of the model best, the slowest among them, propagated to these."""
+    """Return the `most` starts at `sample` that fit all samples of the model best, propagated to these samples."""
     loose = _loosen_terms(model, sample, pair.apart_rad)
     tracks, costs_of_parts = [], []
-    for part in np.array_split(np.arange(len(pair.omega)), 1 + len(pair.omega) // AT_ONCE):
+    for part in np.array_split(np.arange(len(pair.omega)), 1 + len(pair.omega) // STARTS_AT_ONCE):
         rates = pair.omega[part]
         track = propagate(model, sample, facing(pair.sun_B[part]), rates)
         prior = (rates**2).sum(axis=1) / (2 * model.rate_sigma**2)
@@ -475,6 +473,7 @@ def _best_starts(model: Model, sample: int, pair: PairStarts, most: int) -> Trac
     track, cost = Track.joined(tracks), np.concatenate(costs_of_parts)
     order = np.argsort(cost, kind="stable")
     speed = np.linalg.norm(track.omega[:, sample], axis=1)
+    # the slowest start that is left takes the last place if it is not among the best
     slowest = order[np.argmin(speed[order])]
     best = order[:most] if slowest in order[:most] else np.append(order[: most - 1], slowest)
     return track.take(best)

@@ -16,20 +16,20 @@ import numpy as np
 from scipy.special import sph_harm_y
 
 from sunspin.estimate.chain import RATE, TURN, Fit, costs, equations, fit, log_left_out
-from sunspin.estimate.evidence import best_nominal_fit, over_shares
+from sunspin.estimate.evidence import best_nominal_fit, sum_over_shares
 from sunspin.estimate.model import Model, Noise, Observations, Track
 from sunspin.estimate.settings import AlternativeSettings, LadderSettings
 from sunspin.estimate.terms.term import facing
 from sunspin.solve.rotations import rotate_by_smallest
 from sunspin.vehicle.response.planes import sphere
 
-EVERYWHERE = 2000
+DIRECTIONS = 2000
 """Directions on the sphere, 5 degrees apart."""
 
 DEGREE = 24
 """Largest degree of the spherical harmonics: a change of 0.15 rad from one reading to the next is resolved."""
 
-ROUGHLY = 0.5
+BOUND_ERROR = 0.5
 """Log likelihood per sample by which the quick bound (:func:`_upper_bound`) may be too low."""
 
 SWINGS = "an oscillation quicker than the samples"
@@ -63,7 +63,7 @@ def fits_of_oscillation(
     # what the log of the mean likelihood must be at least
     least = max(float(fitted.log_evidence.max()) for fitted in fits) - s.hopeless - constant
     bound = _upper_bound(best_held.model, best_held.motions, wanders)
-    if bound.max() + ROUGHLY * len(obs) < least:
+    if bound.max() + BOUND_ERROR * len(obs) < least:
         return []
     at_rest = _at_rest(motion)
     span_s = float(np.ptp(obs.t_s))
@@ -94,16 +94,16 @@ def _fit_to_held(model: Model, motion: Track, held: Observations, s: LadderSetti
     u = np.concatenate([motion.u[:, model.inertia_slice], *free], axis=1)
     begin = Track(motion.attitude, motion.omega, u)
     fitted = fit(replace(model, obs=held), begin, s.steps, s.tolerance)
-    return over_shares(fitted, s.beyond_fit)
+    return sum_over_shares(fitted, s.beyond_fit)
 
 
 @cache
 def harmonics() -> tuple[np.ndarray, np.ndarray]:
-    """Return the real spherical harmonics (`EVERYWHERE`, m) up to `DEGREE` at directions all over the sphere, and l (l + 1) (m).
+    """Return the real spherical harmonics (`DIRECTIONS`, m) up to `DEGREE` at directions all over the sphere, and l (l + 1) (m).
 
     l is the degree of each. They are orthonormal: parts of the complex ones, those of an order above zero times sqrt(2).
     """
-    x, y, z = sphere(EVERYWHERE).T
+    x, y, z = sphere(DIRECTIONS).T
     degree, order = np.tril_indices(DEGREE + 1)  # all pairs with order <= degree
     values = sph_harm_y(degree, order, np.arccos(z)[:, None], np.arctan2(y, x)[:, None])
     values = values * np.where(order > 0, np.sqrt(2.0), 1.0)
@@ -119,18 +119,18 @@ def log_mean_likelihood(obs: Observations, wander: np.ndarray) -> np.ndarray:
     be any. The likelihood of a direction at a sample is exp(-cost). This is a filter over the samples: `density` is that of the
     Sun's direction given the readings so far, and the product of its means is the likelihood of all of them.
     """
-    attitudes = np.repeat(facing(sphere(EVERYWHERE))[:, None], len(obs), axis=1)
-    cost = costs(obs, Track.free(attitudes, np.zeros((EVERYWHERE, len(obs), 3))))
+    attitudes = np.repeat(facing(sphere(DIRECTIONS))[:, None], len(obs), axis=1)
+    cost = costs(obs, Track.free(attitudes, np.zeros((DIRECTIONS, len(obs), 3))))
     least = cost.min(axis=0)  # taken out of the exponentials, against underflow
     values, l_times_l_plus_1 = harmonics()
-    density, total = np.ones((EVERYWHERE, len(wander))), np.full(len(wander), -least.sum())
+    density, total = np.ones((DIRECTIONS, len(wander))), np.full(len(wander), -least.sum())
     for k in range(len(obs)):
         if k:
             # diffusion over the time T to this sample: each harmonic decays by exp(-l (l + 1) wander^2 T / 2)
             interval_s = obs.t_s[k] - obs.t_s[k - 1]
             decay = np.exp(-l_times_l_plus_1[:, None] * wander**2 * interval_s / 2)
-            # sum over the directions, each of which stands for the area 4 pi / EVERYWHERE
-            density = values @ (decay * (values.T @ density)) * (4 * np.pi / EVERYWHERE)
+            # sum over the directions, each of which stands for the area 4 pi / DIRECTIONS
+            density = values @ (decay * (values.T @ density)) * (4 * np.pi / DIRECTIONS)
             density = np.maximum(density, 0.0)
         density = density * np.exp(least[k] - cost[:, k])[:, None]
         mean = np.maximum(density.mean(axis=0), 1e-300)
@@ -142,8 +142,7 @@ def _upper_bound(model: Model, motion: Track, wander: np.ndarray) -> np.ndarray:
     """Return an approximate upper bound (w) of :func:`log_mean_likelihood` for bodies that wander by `wander` (w), rad s^-0.5.
 
     Each sample counts the share that its reading allows of the directions that the Sun may have reached since the sample before.
-    The errors of the readings are those at one motion (K = 1), which must fit. It is quickly computed, and low if readings are
-    sharp.
+    The errors of the readings are those at one motion (K = 1), which must fit. The bound is quick to compute.
     """
     # torques so strong that the equations of motion determine nothing: the matrix is that of the readings
     readings_only = replace(model, noise=Noise(1.0))

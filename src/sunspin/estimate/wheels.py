@@ -33,13 +33,13 @@ LONGEST_PASSES = 2
 EVIDENCE = " (evidence "
 """What separates the name of a wheel model from its evidence, in words."""
 
-FAR = 20.0
+QUICK_LOSS = 20.0
 """Reversed wheels are not fitted if a quick search, which holds the inertia, finds their log evidence worse by this."""
 
 WRAPPED_RAD = 10.0
 """Wheels that turn the rate by more than this between samples are not reversed: at 42 rad one of five right files was doubted."""
 
-AS_WELL = 1.0
+LOSS = 1.0
 """Log evidence by which reversed wheels may be worse in one pass and are still tried on the next."""
 
 
@@ -238,7 +238,7 @@ def doubted_signs(
     quick_of_file = quick_evidence(of_longest.nominal, settings, replace(fitter.budget), known)
     doubted: list[Reversed] = []
     for (numbers, momentum), quick in zip(momenta.items(), quick_evidences, strict=True):
-        if quick < quick_of_file - FAR:
+        if quick < quick_of_file - QUICK_LOSS:
             continue
         gain, fits_reversed = 0.0, []
         for a_pass, fits_of_file in compared:
@@ -247,7 +247,7 @@ def doubted_signs(
             if pass_fits is None:
                 break
             gain += log_evidence(pass_fits) - log_evidence(fits_of_file)
-            if gain < -AS_WELL:
+            if gain < -LOSS:
                 break
             fits_reversed.append(pass_fits)
         if len(fits_reversed) < len(compared) or gain < CLEARLY:
