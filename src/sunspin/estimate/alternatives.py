@@ -92,15 +92,15 @@ def misaligned_panels(
     # if nothing fits, as with exchanged columns, large tilts of all panels must not explain that
     if best_cost(fits) > nominal.obs.cost_limit:
         return
-    best = best_nominal_fit(fits)
-    motion = best.motions.take(np.array([np.argmax(best.log_evidence)]))
+    motion = best_nominal_fit(fits).motions
     (residual,) = panels.residuals(motion, motion.u[:, own])
     _, weights = residual.law(residual.value)
-    weight = weights[0]
+    weight = weights[0]  # of each sample (n), as outliers count less
     assert residual.by_turn is not None
     # half of what two tilt angles of each panel take from the weighted square of its residuals, by least squares
     gains = []
     for panel, axes in enumerate(panels.tilt_axes()):
+        # residuals (n) of the panel, and their derivative (n, 2) by its tilt about two axes
         slope, value = residual.by_turn[0, :, panel] @ axes.T, residual.value[0, :, panel]
         matrix, gradient = slope.T @ (weight[:, None] * slope), slope.T @ (weight * value)
         gains.append(float(gradient @ np.linalg.pinv(matrix, hermitian=True) @ gradient) / 2)
@@ -122,15 +122,14 @@ def steps_of_the_rate(
     number of intervals in evidence. Near a sample the data hardly show whether a step came before or after it, so each step is also
     tried one interval earlier and later. `fits` as in :func:`alternatives`.
     """
-    # the best fit with the steps so far, at first with none, and its log evidence
+    # the most probable motion with the steps so far, at first with none
     best = best_nominal_fit(fits)
-    top = float(best.log_evidence.max())
     steps: tuple[tuple[int, float], ...] = ()  # interval, size in rad/s
     intervals = len(nominal.obs) - 1
     price = np.log(intervals) + s.step_sizes
     for _ in range(min(s.most_steps, intervals - 1)):
-        motion = best.motions.take(np.array([np.argmax(best.log_evidence)]))
-        defect_square = (defects(best.model, motion).value[0] ** 2).sum(axis=1)  # of each interval
+        defect = defects(best.model, best.motions).value[0]
+        defect_square = (defect**2).sum(axis=1)  # of each interval
         defect_square[[interval for interval, _ in steps]] = 0.0
         worst = int(np.argmax(defect_square))
         # Under the weakest torques a step gains at most half the squared defect of its interval. Under stronger ones other
@@ -138,15 +137,14 @@ def steps_of_the_rate(
         weakest = min(fitted.model.noise.acceleration for fitted in fits)
         if best.model.noise.acceleration == weakest and defect_square[worst] / 2 < price:
             return
-        sigma = _size_of_step(best.model, motion, worst)
+        sigma = _size_of_step(best.model, best.motions, worst)
         steps = (*steps, (worst, sigma))
         model = _with_steps(nominal, steps, price)
         yield model
         with_step = [fitted for fitted in fits if fitted.model.what == model.what]
-        if not with_step or best_fit(with_step).log_evidence.max() <= top:
+        if not with_step or best_fit(with_step).log_evidence[0] <= best.log_evidence[0]:
             return
         best = best_fit(with_step)
-        top = float(best.log_evidence.max())
         used = [interval for interval, _ in steps]
         for interval in (worst - 1, worst + 1):
             if 0 <= interval < intervals and interval not in used:

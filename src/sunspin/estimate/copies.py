@@ -35,7 +35,7 @@ class Outline(NamedTuple):
     def of(cls, motions: Track, t_s: np.ndarray) -> Outline:
         """Return the outline of motions at times `t_s` (n)."""
         steps = motions.omega[:, :-1] * np.diff(t_s)[:, None]
-        # at each sample since the first
+        # rotation from the first sample to each
         total = np.concatenate([np.zeros((len(steps), 1, 3)), np.cumsum(steps, axis=1)], axis=1)
         middle = total[:, len(t_s) // 2, None]
         covariance = motions.covariance[..., RATE, RATE]

@@ -303,15 +303,14 @@ def best_motions(fits: Sequence[Fit], count: int, search_settings: SearchSetting
 
 
 def best_fit(fits: Sequence[Fit]) -> Fit:
-    """Return the fit, of those that have a motion, with the most probable one; all strengths of torques are equally likely."""
-    return max(
-        (fitted for fitted in fits if len(fitted)),
-        key=lambda fitted: float(fitted.log_evidence.max()),
-    )
+    """Return the most probable motion of all fits, as a fit of it alone (K = 1); all strengths of torques are equally likely."""
+    with_motions = (fitted for fitted in fits if len(fitted))
+    best = max(with_motions, key=lambda fitted: float(fitted.log_evidence.max()))
+    return best.take(np.array([np.argmax(best.log_evidence)]))
 
 
 def best_nominal_fit(fits: Sequence[Fit]) -> Fit:
-    """Return the fit of the nominal model, under any strength of torques, with the most probable motion."""
+    """Return the most probable motion of the nominal model, under any strength of torques, as a fit of it alone (K = 1)."""
     return best_fit([fitted for fitted in fits if fitted.model.what == AS_STATED])
 
 

@@ -194,7 +194,7 @@ def with_alternatives(
         fields = [term for term in model.obs.terms if isinstance(term, FieldChange)]
         if new and any(len(term.zero_shares) > 1 for term in fields):
             # the search believed the magnetometer: the true motion may be lost, and an alias have taken its place
-            gain = best_fit(new).log_evidence.max() - best_nominal_fit(fits).log_evidence.max()
+            gain = best_fit(new).log_evidence[0] - best_nominal_fit(fits).log_evidence[0]
             if gain > settings.alternatives.doubted:
                 with suppress(InputError):  # nothing else may fit
                     tracks = search_motions(model, search.noise, search, budget)
@@ -285,7 +285,7 @@ def is_fast(fits: Sequence[Fit]) -> bool:
     if not any(map(len, fits)):
         return False
     best = best_fit(fits)
-    speed = np.linalg.norm(best.motions.omega[best.log_evidence.argmax()], axis=1).mean()
+    speed = np.linalg.norm(best.motions.omega[0], axis=1).mean()
     return bool(speed * np.diff(best.model.obs.t_s).min() > np.pi)
 
 
@@ -312,7 +312,7 @@ def begin_again(fits: Sequence[Fit], s: RatesSettings) -> list[Fit]:
     if not any(map(len, fits)):
         return []
     best = best_fit(fits)
-    motion = best.take(np.array([np.argmax(best.log_evidence)])).to_begin_from
+    motion = best.to_begin_from
     begin = prepare_fit(best.model, Track.free(motion.attitude, motion.omega))
     if not begin.u.any():  # no term guesses its unknowns
         return []
@@ -332,7 +332,7 @@ def fits_of_alternative(
     rung = of_nominal.model.noise.acceleration
     if len(s.ladder.rungs) == 1:
         rung = max(rung, s.search.noise)
-    best = float(best_fit(fits).log_evidence.max())
+    best = float(best_fit(fits).log_evidence[0])
     begin = best_motions(fits, 5, s.search)  # the five most probable ones
     begin = rescale_unknowns(begin, of_nominal.model, model.under(rung))
     ladder_settings = replace(s.ladder, hopeless=s.alternatives.hopeless)

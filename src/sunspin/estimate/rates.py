@@ -161,6 +161,7 @@ def rates(
     MotionError
         A torque without the environment that it needs.
     """
+    # the readings of all samples, why each is used or not, and the passes that they form
     assessment = assess(vehicle, telemetry)
     local = along_the_sun(environment)  # axes N with z to the Sun
     calibration = calibrate_magnetometer(local, assessment) if calibration is None else calibration

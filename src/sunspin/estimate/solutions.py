@@ -259,12 +259,14 @@ def estimates(fitted: Fit) -> dict[str, tuple[str, float, float]]:
             rows[unknown.name] = unknown.unit, unknown.centre, unknown.sigma * every[k]
     for term, own in model.terms_with_slices:
         if isinstance(term, Panels) and len(term.gain_errors):
+            # a gain is the stated one plus its sigmas (e) times e errors, which panels may share
             by_error = every[own][term.gain_slice]
             for k, name in enumerate(term.names):
                 rows[f"gain_{name}"] = "1", term.gain[k], term.gain_errors[:, k] @ by_error
         if isinstance(term, Panels) and term.earth is not None:
             earth, light = term.earth, every[own][term.earth_slice]
             centre = np.zeros(3) if earth.known_N is None else earth.known_N.mean(axis=0)
+            # one sigma of each unknown changes the light vector by a row of `light_N`, here its mean over the samples
             change = earth.light_N.mean(axis=0).T @ light[earth.light_slice]
             for k, axis in enumerate("xyz"):
                 rows[f"earth_light_{axis}"] = "full Sun", float(centre[k]), change[k]

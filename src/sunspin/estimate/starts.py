@@ -148,7 +148,8 @@ def gyro_decides(model: Model, first: int) -> bool:
 def _constant_rate_holds(model: Model, first: int) -> bool:
     """Return whether a rate is nearly constant in the body from sample `first` to the next, for unequal moments and wheels."""
     low, middle, high = np.linalg.eigvalsh(model.body.inertia)
-    # rad/s at which both turn the vector of the rate in the body; by Euler's equations moments do by their relative difference
+    # Both turn the vector of the rate in the body, at so many rad/s: unequal moments, by Euler's equations, at about the rate times
+    # their relative difference.
     by_wheels = nutation(model.body.inertia, model.obs.momentum[first : first + 2]).max()
     by_moments = model.rate_max * (high - low) / middle
     interval_s = model.obs.t_s[first + 1] - model.obs.t_s[first]

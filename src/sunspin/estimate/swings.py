@@ -46,8 +46,7 @@ def fits_of_oscillation(
     those of all other models. Sizes that are hopeless compared with the best of them are left out. Only the Sun may be measured.
     """
     best = best_nominal_fit(fits)
-    motion = best.motions.take(np.array([np.argmax(best.log_evidence)]))
-    obs = nominal.obs
+    motion, obs = best.motions, nominal.obs
     # in the time T the body turns by the wander times sqrt(T) about each axis, rad s^-0.5
     wanders = np.array(s.swings_rad) / np.sqrt(float(np.median(np.diff(obs.t_s))))
     # with gains and the like held as the best motion has them: errors enlarged by their uncertainty would count as likelihood
@@ -58,7 +57,7 @@ def fits_of_oscillation(
         return []
     # What the unknowns change in the best motion's evidence, and readings that `held` lacks, count for the oscillation too. Else a
     # true rotation once stood 12 below an oscillation: its gains, lights and zeros had cost it 28, and the oscillation nothing.
-    of_unknowns = float(best.log_evidence.max() - best_held.log_evidence[0])
+    of_unknowns = float(best.log_evidence[0] - best_held.log_evidence[0])
     constant = of_unknowns + log_left_out(nominal) + nominal.log_prior
     # what the log of the mean likelihood must be at least
     least = max(float(fitted.log_evidence.max()) for fitted in fits) - s.hopeless - constant
@@ -71,12 +70,13 @@ def fits_of_oscillation(
     for wander, log_likelihood in zip(wanders, log_mean_likelihood(held, wanders), strict=True):
         if log_likelihood < least:
             continue
-        # torques that turn the body less over the pass than the oscillation does hardly change the sum: each of them counts
+        # torques hardly change the sum if they turn the body less over the pass T, by q sqrt(T^3 / 3), than the oscillation, by
+        # wander sqrt(T): it counts under each of them
         weak = [rung for rung in ladder_settings.rungs if rung * span_s / np.sqrt(3) <= wander]
         for rung in weak or [min(ladder_settings.rungs)]:
             model = replace(nominal, noise=Noise(rung, rate=float(wander)), what=SWINGS)
             fitted = fit(model, at_rest, 8)
-            # the share of the prior of the rate that the readings leave near rest: ratio of the roots of both determinants
+            # the readings leave this share of the prior of the rate: ratio of the roots of both covariances' determinants
             log_root = np.linalg.slogdet(fitted.motions.covariance[:, 0, RATE, RATE])[1] / 2
             log_share = log_root - 3 * np.log(nominal.rate_sigma)
             log_evidence = log_likelihood + log_share + constant
