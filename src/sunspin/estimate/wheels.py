@@ -40,7 +40,7 @@ WRAPPED_RAD = 10.0
 """Wheels that turn the rate by more than this between samples are not reversed: at 42 rad one of five right files was doubted."""
 
 LOSS = 1.0
-"""Log evidence by which reversed wheels may be worse in one pass and are still tried on the next."""
+"""Log evidence by which reversed wheels may be worse in the passes so far and are still tried on the next."""
 
 
 @dataclass(frozen=True)
