@@ -18,7 +18,7 @@ from sunspin.estimate.chain import (
     variance_of,
     whitening,
 )
-from sunspin.estimate.evidence import ladder, over_shares
+from sunspin.estimate.evidence import ladder, sum_over_shares
 from sunspin.estimate.model import Body, Model, Noise, Track
 from sunspin.estimate.observe import observe
 from sunspin.estimate.settings import RATES
@@ -193,7 +193,7 @@ def test_a_fit_without_a_minimum_is_not_moved_by_other_sigmas_of_its_unknowns():
     still = np.tile(np.eye(3), (1, len(obs), 1, 1))
     one = fit(model, Track.free(still, np.zeros((1, len(obs), 3))), 20)
     broken = replace(one, u_covariance=one.u_covariance - 2 * np.eye(len(model.unknowns)))
-    summed = over_shares(broken, 3.0)
+    summed = sum_over_shares(broken, 3.0)
     np.testing.assert_array_equal(summed.motions.u, one.motions.u)
     np.testing.assert_allclose(summed.motions.omega, one.motions.omega, atol=1e-15)
     counts = {unknown.kind: len(unknown.shares) for unknown in model.unknowns}

@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 import sunspin as ss
 from sunspin.base.errors import InputError
 from sunspin.estimate.chain import whitening
-from sunspin.estimate.dense import curve, filled, residuals_by_sensor
+from sunspin.estimate.dense import curve, propagate_to_all, residuals_by_sensor
 from sunspin.estimate.model import Body, Model, Noise, Observations, Track
 from sunspin.estimate.observe import HELD, thinned, wheel_models
 from sunspin.estimate.settings import RATES
@@ -55,7 +55,7 @@ def filled_from(model, kept, attitude, omega):
     """Return the motion carried from the kept samples to all, and the derivative of its mean rate."""
     some, noise = model.seeing(kept), np.full(len(kept) - 1, NOISE)
     motion = known(some, attitude[kept], omega[kept])
-    return filled(some, motion, model.obs.t_s, model.obs.momentum, noise)
+    return propagate_to_all(some, motion, model.obs.t_s, model.obs.momentum, noise)
 
 
 def test_the_motion_between_kept_samples_is_the_true_one(tumble):
@@ -129,7 +129,7 @@ def test_the_error_between_kept_samples_is_that_of_a_bridge_between_both(share, 
     t_s = np.array([0.0, share * span, span])
     ends = Model(Observations(t_s[::2], np.zeros((2, 3)), ()), sphere, Noise(noise), 0.05)
     still = known(ends, np.tile(np.eye(3), (2, 1, 1)), np.zeros((2, 3)))
-    track = filled(ends, still, t_s, np.zeros((3, 3)), np.array([noise]))[0]
+    track = propagate_to_all(ends, still, t_s, np.zeros((3, 3)), np.array([noise]))[0]
     np.testing.assert_allclose(np.diag(track.covariance[0, 1]), np.diag(both), rtol=1e-6)
 
 

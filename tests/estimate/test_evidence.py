@@ -13,7 +13,7 @@ from sunspin.estimate import wheels
 from sunspin.estimate.between import link_passes
 from sunspin.estimate.budget import Budget
 from sunspin.estimate.chain import fit
-from sunspin.estimate.evidence import PassFits, best_motions, ladder, over_shares, share_noise
+from sunspin.estimate.evidence import PassFits, best_motions, ladder, share_noise, sum_over_shares
 from sunspin.estimate.observe import Pass
 from sunspin.estimate.one_pass import PassFitter, one_pass
 from sunspin.estimate.quick import MOTIONS, quick_evidence
@@ -38,7 +38,7 @@ def test_sum_over_sizes_is_that_of_fits_under_each_size():
 
     terms = (*model.obs.terms[:-1], replace(torque, shares=shares))
     wide = fit(replace(model, obs=replace(model.obs, terms=terms)), motions, 30, 1e-9)
-    summed = over_shares(wide, beyond_fit=np.inf)
+    summed = sum_over_shares(wide, beyond_fit=np.inf)
     each = [under(share) for share in shares]
     log = np.array([one.log_evidence[0] for one in each])
     assert np.isclose(summed.log_evidence[0], logsumexp(log) - np.log(3), atol=0.3)
@@ -50,7 +50,7 @@ def test_sum_over_sizes_is_that_of_fits_under_each_size():
 
 def test_a_fit_without_unknown_sizes_is_unchanged():
     one = fit(*problem(torque=False), 10)
-    assert over_shares(one, 3.0) is one
+    assert sum_over_shares(one, 3.0) is one
 
 
 def test_a_quiet_motion_is_most_probable_under_weak_torques_and_all_rungs_agree():

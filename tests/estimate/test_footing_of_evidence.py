@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 from sunspin.estimate.chain import costs, fit, log_left_out, propagate
 from sunspin.estimate.model import Body, Model, Noise, Observations, States, Track
 from sunspin.estimate.settings import RATES
-from sunspin.estimate.swings import log_mean_likelihood, swings_by_all_ways
+from sunspin.estimate.swings import fits_of_oscillation, log_mean_likelihood
 from sunspin.estimate.terms.directions import SunDirections
 from sunspin.estimate.terms.panels import Panels, ReadingTimes
 from sunspin.estimate.terms.term import Residual, facing, gaussian
@@ -105,7 +105,7 @@ def test_evidence_of_an_oscillation_is_its_mean_likelihood_under_every_weaker_to
     """Of a body that hardly turns, and of one that may turn by a sixth of a radian between samples."""
     sigma = 0.5
     model = model_of(COMING_BACK, sigma, rate_sigma)
-    fits = swings_by_all_ways(model, [best_motion(model, np.zeros(3))], EVERY, RATES.ladder)
+    fits = fits_of_oscillation(model, [best_motion(model, np.zeros(3))], EVERY, RATES.ladder)
     of_size = {one.model.noise.rate: one for one in fits}
     assert len(of_size) == len(EVERY.swings_rad)
     for size in sorted(of_size)[:3]:
@@ -138,7 +138,7 @@ def test_an_oscillation_pays_for_gains_that_are_not_known_as_a_rotation_does():
     suns = seen_turning(omega, 0.0)
     model = panels_of(suns, 0.1, gain_sigma=0.3)
     nominal = fit(model, propagate(model, 0, facing(suns)[:1], omega[None]), 40, 1e-6)
-    swing = swings_by_all_ways(model, [nominal], EVERY, RATES.ladder)[-1]
+    swing = fits_of_oscillation(model, [nominal], EVERY, RATES.ladder)[-1]
     wander = np.array([swing.model.noise.rate])
     errors = np.linspace(-2.0, 2.0, 81)
     of_swing, of_rotation = [], []

@@ -91,7 +91,7 @@ def controlled():
 def test_a_pass_that_does_not_fit_is_given_in_windows(controlled):
     made, result = controlled
     found = rates_in_windows(made.vehicle, made.telemetry, result, max_rate_rad_s=0.15)
-    assert found["window_samples"].values.tolist() == [short_windows.SAMPLES] * 4
+    assert found["window_samples"].values.tolist() == [short_windows.WINDOW_SAMPLES] * 4
     assert found["window_pass"].values.tolist() == [0] * 4
     truth = made.omega[np.searchsorted(made.telemetry["time"], found["window_time"])]
     off = (found["window_omega_B"].values - truth) / found["window_sigma_B"].values

@@ -1,9 +1,10 @@
-"""What else may have moved the body: models with one entry changed, fitted from the motions of the nominal model.
+"""Alternative models of what else may have moved the body, or of wrong sensors: the nominal model with one entry changed.
 
-Each has the prior probability of the nominal model. Sigmas are never enlarged by hand: an alternative that explains the
-readings adds its own motion and errors to the sum. All samples between the kept ones are filled from both
-sides by the equations of the nominal model (:func:`sunspin.estimate.dense.filled`). So an alternative may add torques and change
-sensors, but not the momentum of the wheels, which :func:`sunspin.estimate.wheels.decide_wheels` decides for the whole file.
+Each is fitted from the motions of the nominal model, and has the same prior probability unless it says otherwise. Sigmas are never
+enlarged by hand: an alternative that explains the readings adds its own motion and errors to the sum. Samples between the kept ones
+are propagated to by the equations of the nominal model (:func:`sunspin.estimate.dense.propagate_to_all`). So an alternative may add
+torques and change sensors, but not the momentum of the wheels, which :func:`sunspin.estimate.wheels.decide_wheels` decides for the
+file.
 """
 
 from __future__ import annotations
@@ -14,8 +15,8 @@ from dataclasses import replace
 import numpy as np
 
 from sunspin.estimate.chain import RATE, Fit, defects, fit
-from sunspin.estimate.evidence import best_cost, best_fit
-from sunspin.estimate.model import AS_STATED, Model, Track
+from sunspin.estimate.evidence import best_cost, best_fit, best_nominal_fit
+from sunspin.estimate.model import Model, Track
 from sunspin.estimate.settings import AlternativeSettings
 from sunspin.estimate.terms.field import FieldChange
 from sunspin.estimate.terms.inertial import GyroRates
@@ -23,18 +24,18 @@ from sunspin.estimate.terms.panels import TILT_SIGMA_RAD, Panels
 from sunspin.estimate.terms.torques import WORDS, ConstantTorque
 
 MISALIGNED = "misaligned panels"
-"""Name of the model of such panels, before that of the panel that shows it most."""
+"""Begin of the name of that model; the panel that shows it most follows."""
 
 LEAST_STEP = 1e-3
-"""Least size of a step, in sigmas of the rate before the data."""
+"""Least size of a rate step, in sigmas of the rate before the data."""
 
 
 def alternatives(nominal: Model, fits: Sequence[Fit], s: AlternativeSettings) -> Iterator[Model]:
-    """Yield, one at a time, the models that are tried in addition to the nominal one, `nominal`.
+    """Yield the models that are tried in addition to the nominal one.
 
-    A constant torque in the body, and one in space; a gyro or a magnetometer whose zero is off; misaligned panels; steps of
-    the rate. `fits`: all so far. The caller adds the fits of each model to them before it asks for the next one, since a step of
-    the rate is tried only if the one before it raised the evidence.
+    A constant torque in the body, and one in space; a gyro or a magnetometer whose zero is off; misaligned panels; steps of the
+    rate. `fits`: all fits so far. The caller must append the fits of each model to this list before it takes the next one, since a
+    further step of the rate is tried only if the one before it raised the evidence.
     """
     duration_s = float(np.ptp(nominal.obs.t_s))
     for frame, words in WORDS.items():
@@ -50,14 +51,13 @@ def alternatives(nominal: Model, fits: Sequence[Fit], s: AlternativeSettings) ->
 def another_zero(nominal: Model, s: AlternativeSettings) -> Iterator[Model]:
     """Yield models of a gyro whose zero is off by more than the file states, and of a magnetometer without a stated zero sigma.
 
-    A gyro that is trusted pulls the motion along: with a zero off by 0.5 deg/s and stated to 0.006 a pass was decided and wrong by
-    8 sigma, as the scale of the gyro took the error. The gyro still fits only with the zero that the file states.
+    A gyro with a wrong zero makes the motion wrong: with a zero off by 0.5 deg/s and stated to 0.006 a pass was decided and wrong
+    by 8 sigma, as the scale of the gyro took the error. In the verdict the gyro still fits only with the zero that the file states.
 
-    A magnetometer is another matter: a file that states no sigma of its zero does not say that it is calibrated. So the odds are
-    even, and it fits with the zero that is estimated. Believed, readings with a zero of a tenth of the field decided a pass 8 sigma
-    off.
+    A file that states no sigma of a magnetometer's zero does not say that it is calibrated. So the odds are even, and it fits with
+    the zero that is estimated. Without this model, readings with a zero of a tenth of the field decided a pass 8 sigma off.
     """
-    for number, term in enumerate(nominal.obs.terms):
+    for index, term in enumerate(nominal.obs.terms):
         if not term.present().any():
             continue
         if isinstance(term, GyroRates) and term.zero_stated:
@@ -67,7 +67,7 @@ def another_zero(nominal: Model, s: AlternativeSettings) -> Iterator[Model]:
         else:
             continue
         terms = list(nominal.obs.terms)
-        terms[number] = term.with_any_zero()
+        terms[index] = term.with_any_zero()
         yield replace(
             nominal,
             obs=replace(nominal.obs, terms=tuple(terms)),
@@ -79,30 +79,31 @@ def another_zero(nominal: Model, s: AlternativeSettings) -> Iterator[Model]:
 def misaligned_panels(
     nominal: Model, fits: Sequence[Fit], s: AlternativeSettings
 ) -> Iterator[Model]:
-    """Yield the model of panels that are turned from the directions that the vehicle file states, if residuals show one of them.
+    """Yield the model of panels that are tilted from the directions in the vehicle file, if the residuals of a panel show it.
 
-    A misaligned panel reads too much on one side of the Sun and too little on the other. The rates take much of that, and are
-    then off by many sigmas: with a panel off by 17 degrees a pass was decided and wrong by 17 sigma. `fits` as in
-    :func:`alternatives`.
+    A misaligned panel reads too much on one side of the Sun and too little on the other. An error of the rates can explain much of
+    that: with a panel off by 17 degrees a pass was decided and wrong by 17 sigma. `fits` as in :func:`alternatives`.
     """
+    # the panels are the first term; `own`: their unknowns
     panels, own = nominal.terms_with_slices[0] if nominal.obs.only_sun else (None, slice(0))
-    # The panels are the first term. Their tilts must be the last unknowns of the model, as a fit adds new unknowns at the end.
+    # their tilts must become the last unknowns of the model: those that a motion lacks are added at its end when it is fitted
     if not isinstance(panels, Panels) or own.stop < len(nominal.unknowns):
         return
+    # if nothing fits, as with exchanged columns, large tilts of all panels must not explain that
     if best_cost(fits) > nominal.obs.cost_limit:
-        return  # exchanged columns, for example, must not pass for panels that are turned far
-    best = best_fit([fitted for fitted in fits if fitted.model.what == AS_STATED])
-    motion = best.motions.take(np.array([np.argmax(best.log_evidence)]))
+        return
+    motion = best_nominal_fit(fits).motions
     (residual,) = panels.residuals(motion, motion.u[:, own])
     _, weights = residual.law(residual.value)
-    weight = weights[0]
+    weight = weights[0]  # of each sample (n), as outliers count less
     assert residual.by_turn is not None
+    # half of what two tilt angles of each panel take from the weighted square of its residuals, by least squares
     gains = []
     for panel, axes in enumerate(panels.tilt_axes()):
-        # least squares of two angles, by which half the weighted square of the residuals falls
+        # residuals (n) of the panel, and their derivative (n, 2) by its tilt about two axes
         slope, value = residual.by_turn[0, :, panel] @ axes.T, residual.value[0, :, panel]
-        matrix, rest = slope.T @ (weight[:, None] * slope), slope.T @ (weight * value)
-        gains.append(float(rest @ np.linalg.pinv(matrix, hermitian=True) @ rest) / 2)
+        matrix, gradient = slope.T @ (weight[:, None] * slope), slope.T @ (weight * value)
+        gains.append(float(gradient @ np.linalg.pinv(matrix, hermitian=True) @ gradient) / 2)
     if max(gains, default=0.0) > s.tilt_shows:
         name = panels.names[int(np.argmax(gains))]
         terms = (replace(panels, tilt_sigma=TILT_SIGMA_RAD), *nominal.obs.terms[1:])
@@ -113,51 +114,48 @@ def misaligned_panels(
 def steps_of_the_rate(
     nominal: Model, fits: Sequence[Fit], s: AlternativeSettings
 ) -> Iterator[Model]:
-    """Yield models in which the rate changes at once in one interval, then in a second one too, as long as the evidence grows.
+    """Yield models in which the rate changes suddenly in one interval, then in a second one too, as long as the evidence grows.
 
-    A step is tried where the best motion so far leaves the equations of motion most. Unknown torques that are strong enough for a
-    step are too strong for all other intervals, and make the rate next to the step too sure: without steps one of twelve passes
-    with a thrust was decided and wrong by 6 sigma. The interval of a step is not known, which costs the log of the number of
-    intervals in evidence. Near a sample the data hardly show whether a step came before or after it, so the last step is also tried
-    one interval earlier and later. `fits` as in :func:`alternatives`.
+    A step is tried in the interval in which the best motion so far violates the equations of motion most. Unknown torques that are
+    strong enough for a step are too strong for all other intervals, and make the rate next to the step too sure: without steps one
+    of twelve passes with a thrust was decided and wrong by 6 sigma. The interval of a step is not known, which costs the log of the
+    number of intervals in evidence. Near a sample the data hardly show whether a step came before or after it, so each step is also
+    tried one interval earlier and later. `fits` as in :func:`alternatives`.
     """
-    # the best fit with the steps so far, at first with none, and its evidence
-    best = best_fit([fitted for fitted in fits if fitted.model.what == AS_STATED])
-    top = float(best.log_evidence.max())
+    # the most probable motion with the steps so far, at first with none
+    best = best_nominal_fit(fits)
     steps: tuple[tuple[int, float], ...] = ()  # interval, size in rad/s
     intervals = len(nominal.obs) - 1
     price = np.log(intervals) + s.step_sizes
     for _ in range(min(s.most_steps, intervals - 1)):
-        motion = best.motions.take(np.array([np.argmax(best.log_evidence)]))
-        square = (defects(best.model, motion).value[0] ** 2).sum(axis=1)
-        square[[interval for interval, _ in steps]] = 0.0
-        worst = int(np.argmax(square))
-        # Under the weakest torques a step gains at most half the squared defect of its interval. Under stronger ones
-        # other intervals gain too, as weaker torques then suffice there, which only the fit can show.
-        calm = best.model.noise.acceleration == min(
-            fitted.model.noise.acceleration for fitted in fits
-        )
-        if calm and square[worst] / 2 < price:
+        defect = defects(best.model, best.motions).value[0]
+        defect_square = (defect**2).sum(axis=1)  # of each interval
+        defect_square[[interval for interval, _ in steps]] = 0.0
+        worst = int(np.argmax(defect_square))
+        # Under the weakest torques a step gains at most half the squared defect of its interval. Under stronger ones other
+        # intervals gain too, as weaker torques then suffice there, which only the fit can show.
+        weakest = min(fitted.model.noise.acceleration for fitted in fits)
+        if best.model.noise.acceleration == weakest and defect_square[worst] / 2 < price:
             return
-        sigma = _size_of_step(best.model, motion, worst)
+        sigma = _size_of_step(best.model, best.motions, worst)
         steps = (*steps, (worst, sigma))
         model = _with_steps(nominal, steps, price)
         yield model
         with_step = [fitted for fitted in fits if fitted.model.what == model.what]
-        if not with_step or best_fit(with_step).log_evidence.max() <= top:
+        if not with_step or best_fit(with_step).log_evidence[0] <= best.log_evidence[0]:
             return
         best = best_fit(with_step)
-        top = float(best.log_evidence.max())
+        used = [interval for interval, _ in steps]
         for interval in (worst - 1, worst + 1):
-            if 0 <= interval < intervals and all(interval != taken for taken, _ in steps):
+            if 0 <= interval < intervals and interval not in used:
                 yield _with_steps(nominal, (*steps[:-1], (interval, sigma)), price)
 
 
 def _size_of_step(model: Model, motion: Track, interval: int) -> float:
-    """Return the size (rad/s) that the data give a step of the rate in an interval: the root mean square of its components.
+    """Return the size (rad/s) of a step of the rate that the data suggest in an interval: the root mean square of its components.
 
-    The motion (K = 1) is fitted with a step whose prior is as wide as that of the rate itself. By how much the rate then leaves the
-    equations of motion in the interval is the step.
+    The motion (K = 1) is fitted with a step whose prior is as wide as that of the rate itself. The step is then the difference
+    between the rate at the end of the interval and the one that the equations of motion give there.
     """
     widest = model.rate_sigma
     noise = replace(model.noise, steps=(*model.noise.steps, (interval, widest)))
@@ -169,7 +167,7 @@ def _size_of_step(model: Model, motion: Track, interval: int) -> float:
 
 
 def _with_steps(nominal: Model, steps: tuple[tuple[int, float], ...], price: float) -> Model:
-    """Return the model with steps of the rate, (interval, size in rad/s) each; a step costs `price` in log evidence."""
+    """Return the nominal model with steps of the rate (interval, size in rad/s); each costs `price` in log evidence."""
     t_s = nominal.obs.t_s
     times = sorted((t_s[interval] + t_s[interval + 1]) / 2 for interval, _ in steps)
     at = ", ".join(f"{time:.0f}" for time in times)

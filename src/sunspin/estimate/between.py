@@ -1,9 +1,9 @@
-"""Neighbouring passes tell aliases apart: from one to the next a rate changes only so much. Probabilities change, no rate does.
+"""Probabilities of solutions by those of neighbouring passes: a rate changes little between passes, which excludes aliases.
 
-A hidden Markov chain over the passes, whose states are their solutions. The probability of a transition is a Student density of the
-change of the mean rate: its width comes from the solutions' own sigmas and from a random walk between the passes. Sums over all
-sequences of solutions (forward-backward algorithm) give the probability of each solution. How fast the walk is the data say: of
-some the one with the largest evidence. If rates change wildly none is better than passes that are independent, which then stay so.
+This is a hidden Markov chain over the passes, whose states are their solutions. The probability of a transition is a Student
+density of the change of the mean rate. Its width comes from the sigmas of both solutions and from a random walk between the passes.
+Sums over all sequences of solutions (forward-backward algorithm) give the probability of each solution. The strength of the walk
+is the one of a list with the largest evidence. If rates change wildly, none is better than independent passes, and nothing changes.
 """
 
 from __future__ import annotations
@@ -17,10 +17,10 @@ from scipy.special import gammaln, logsumexp
 from sunspin.estimate.solutions import Solutions
 
 WALKS = np.geomspace(1e-6, 1e-3, 13)
-"""rad/s^1.5; the mean rate changes by this times the root of the time between two passes. 1e-3 is 4 deg/s in an orbit."""
+"""Strengths of the walk, rad/s^1.5: a rate changes by this times the root of the time between passes. 1e-3: 4 deg/s in an orbit."""
 
 FREEDOM = 4.0
-"""Degrees of freedom of Student's law: somebody may have fired a thruster."""
+"""Degrees of freedom of Student's law, whose tails allow for large changes: a thruster may have been fired."""
 
 
 def link_passes(
@@ -28,16 +28,17 @@ def link_passes(
 ) -> tuple[list[Solutions], float]:
     """Return the passes with the probabilities of their solutions given all passes, and the strength of the walk (rad/s^1.5).
 
-    The rate between passes is modelled as a random walk. NaN stands for its strength if no walk is more probable than independent
-    passes, which then stay as they are. `middle_s`: the middle of each pass; `rate_sigma` (rad/s): of a rate before the data.
+    If no walk is more probable than independent passes, these stay as they are, and the strength is NaN. `middle_s`: middle of each
+    pass, s; `rate_sigma` (rad/s): of each component of the rate before the data.
     """
     own = [np.log(np.maximum(of_pass.probability, 1e-300)) for of_pass in passes]
     # log evidence relative to that of independent passes, which is 0
     best, best_evidence = None, 0.0
+    gaps_s = np.abs(np.diff(middle_s))
     for walk in WALKS:
         transitions = [
-            _log_transition(before, after, walk**2 * abs(middle_s[k + 1] - middle_s[k]), rate_sigma)
-            for k, (before, after) in enumerate(zip(passes[:-1], passes[1:], strict=True))
+            _log_transition(before, after, walk**2 * gap_s, rate_sigma)
+            for before, after, gap_s in zip(passes[:-1], passes[1:], gaps_s, strict=True)
         ]
         # log probability of each solution given its pass and all earlier ones
         forward = [own[0]]
@@ -63,13 +64,14 @@ def link_passes(
 def _log_transition(
     before: Solutions, after: Solutions, walk: float, rate_sigma: float
 ) -> np.ndarray:
-    """Return the log density (K, L) of the L solutions of a pass given each of the K of the pass before, over that of the prior.
+    """Return the log density (K, L) of the L solutions of a pass given each of the K of the pass before, less that of the prior.
 
-    `walk`: variance (rad2/s2) that the walk between the passes adds. The density is Student's law of three numbers; the prior of a
-    rate, in `Solutions.probability` already, is divided out.
+    The density is Student's law of the three components of the mean rate. `walk`: variance (rad2/s2) that the walk between the
+    passes adds. The prior of a rate is in `Solutions.probability` already, so it is divided out.
     """
     variance = before.mean_sigma[:, None] ** 2 + after.mean_sigma[None] ** 2 + walk
     square = ((after.mean[None] - before.mean[:, None]) ** 2 / variance).sum(axis=-1)
+    # log of Student's density of three numbers with these variances: its norm, then the part that depends on the change
     norm = gammaln((FREEDOM + 3) / 2) - gammaln(FREEDOM / 2) - 1.5 * np.log(np.pi * FREEDOM)
     density = norm - np.log(variance).sum(axis=-1) / 2
     density = density - (FREEDOM + 3) / 2 * np.log1p(square / FREEDOM)

@@ -1,4 +1,4 @@
-"""How much an estimate may compute: counted in motions times samples, never in seconds, so that a result is the same anywhere."""
+"""The computing budget of an estimate: counted in motions times samples, not in seconds, so that a result is the same anywhere."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ import numpy as np
 from sunspin.base.errors import InputError
 
 USUAL = 2e4
-"""Motions times samples fitted that an effort of one allows in a pass: ten times what a usual pass takes."""
+"""Motions times samples that may be fitted in a pass with an effort of one: ten times what a usual pass takes."""
 
 
 @dataclass
 class Budget:
-    """How many motions times samples were `used` of the `most` allowed; `cut`: something was left out as nothing was left."""
+    """How many motions times samples were `used` of the `most` allowed. `cut`: work was left out because the budget was used up."""
 
     most: float
     used: float = 0.0
@@ -22,7 +22,7 @@ class Budget:
 
     @classmethod
     def of(cls, effort: float) -> Budget:
-        """Return the budget of one pass for an effort; one is usual, infinity allows anything."""
+        """Return the budget of one pass for an effort: one is usual, infinity sets no limit."""
         number = isinstance(effort, int | float | np.number) and not isinstance(effort, bool)
         if not number or not effort > 0:
             what = "effort must be a positive number, or infinity"
@@ -34,7 +34,7 @@ class Budget:
         self.used += count
 
     def exhausted(self) -> bool:
-        """Return whether the budget is used up. Who asks leaves out the rest of its work then, which `cut` notes."""
+        """Return whether the budget is used up, and note in `cut` that the caller then leaves out the rest of its work."""
         if self.used >= self.most:
             self.cut = True
         return self.used >= self.most

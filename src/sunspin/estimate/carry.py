@@ -1,6 +1,6 @@
-"""Motions carried from one instant to another by the equations of motion, with derivatives by their start and by the inertia.
+"""Motions propagated from one instant to another by the equations of motion, with derivatives by their start and by the inertia.
 
-The steps are those of :mod:`sunspin.dynamics.step`. Derivatives are differences of runs that take the same steps.
+The integration is that of :mod:`sunspin.dynamics.step`. Derivatives are differences of runs with the same steps.
 """
 
 from __future__ import annotations
@@ -15,28 +15,28 @@ from sunspin.dynamics.step import carry_bodies
 from sunspin.solve.rotations import cross_matrix, rotate_attitude, rotation_between
 
 STEP_RAD, LEAST_STEPS, MOST_STEPS = 0.4, 2, 400
-"""Turn of the body in one Runge-Kutta step at most: the error over a whole turn is 1e-4 rad, below that of any panel. Steps of one
-interval: 400 of 0.4 rad are 25 turns, more than sparse directions can tell."""
+"""Angle by which the body turns in one Runge-Kutta step, at most: the error over a revolution is 1e-4 rad, below that of any panel.
+Then the least and largest number of steps in an interval: 400 are 25 revolutions, more than sparse directions can show."""
 
 MOST_NUTATION_RAD = 800.0
-"""Turn of the rate by wheels between two samples that is still followed: at 2 rad a step the integration holds."""
+"""Angle by which wheels may turn the vector of the rate between two samples: 2 rad in each step, which the integration follows."""
 
 DIFFERENCE = 1e-5
-"""Turn (rad) over an interval by which a rate at the start is changed for the derivative of a motion by it."""
+"""For derivatives by the rate at the start: change of the rate times the interval, rad."""
 
 INERTIA_DIFFERENCE = 0.02
-"""Change of the inertia for the derivative by it, in sigmas."""
+"""For derivatives by an error of the inertia: change of the error, in its sigmas."""
 
 TURN, RATE = slice(0, 3), slice(3, 6)
-"""Where the turn (rad, B) and the rate (rad/s) stand among the six numbers of a state."""
+"""Where a small rotation (rad, body axes) and the rate (rad/s) stand among the six numbers of a change of state."""
 
 
 class Step(NamedTuple):
-    """Motions after their intervals.
+    """K motions at the ends of n intervals.
 
-    `turned` (K, n, 3, 3): the attitude at the end relative to that at the start; `omega` (K, n, 3). If asked, derivatives of turn
-    and rate at the end: `by_start` (K, n, 6, 6) by those at the start, `by_inertia` (K, n, 6, e) by one sigma of each error of the
-    inertia.
+    `turned` (K, n, 3, 3): the rotation matrix that takes the attitude at the start to that at the end; `omega` (K, n, 3): rates at
+    the end, rad/s. If wanted, derivatives of turn and rate at the end: `by_start` (K, n, 6, 6) by those at the start, `by_inertia`
+    (K, n, 6, e) by one sigma of each error of the inertia.
     """
 
     turned: np.ndarray
@@ -46,16 +46,17 @@ class Step(NamedTuple):
 
 
 def nutation(inertia: np.ndarray, momentum: np.ndarray) -> np.ndarray:
-    """Return the angular frequency (..., n) in rad/s at which wheels with momenta (n, 3) turn the rate of bodies (..., 3, 3) round.
+    """Return the angular frequency (..., n), rad/s, at which wheels turn the vector of the rate in the body: that of the nutation.
 
-    The wheels add I^-1 (w x h) to dw/dt; the eigenvalues of I^-1 [h x] are 0 and +-i sqrt(h.I h / det I).
+    `inertia` (..., 3, 3) in mean moments; `momentum` (n, 3) of the wheels in mean moments times rad/s. The wheels add I^-1 (w x h)
+    to dw/dt; the eigenvalues of I^-1 [h x] are 0 and +-i sqrt(h.I h / det I).
     """
     square = np.einsum("...ni,...ij,...nj->...n", momentum, inertia, momentum)
     return np.sqrt(square / np.linalg.det(inertia)[..., None])
 
 
 def require_followed(inertia: np.ndarray, momentum: np.ndarray, longest_s: float) -> None:
-    """Refuse wheels whose momenta (n, 3) turn the rate of the body round too often in the longest interval (s) to be followed."""
+    """Raise InputError if wheels of the `momentum` (n, 3) turn the rate too far in the longest interval (s) to be propagated."""
     turned = float(np.max(nutation(inertia, np.nan_to_num(momentum)), initial=0.0)) * longest_s
     if not turned <= MOST_NUTATION_RAD:
         raise InputError(
@@ -70,12 +71,12 @@ def angle_turned(
     dt: npt.ArrayLike,
     momenta: tuple[np.ndarray, np.ndarray],
 ) -> np.ndarray:
-    """Return the angle (..., n) in rad by which body and rate turn at most in intervals dt (n) that begin at rates (..., n, 3).
+    """Return the angle (..., n), rad, by which body and rate turn at most in intervals `dt` (n), s, with rates `omega` (..., n, 3).
 
     `inertia` (..., 3, 3) in mean moments; `momenta`: two (n, 3), of the wheels at start and end of each interval.
     """
-    swing = np.maximum(*(nutation(inertia, momentum) for momentum in momenta))
-    return (np.linalg.norm(omega, axis=-1) + swing) * np.abs(dt)
+    frequency = np.maximum(*(nutation(inertia, momentum) for momentum in momenta))
+    return (np.linalg.norm(omega, axis=-1) + frequency) * np.abs(dt)
 
 
 def step(
@@ -86,16 +87,17 @@ def step(
     derivatives: bool = False,
     errors: np.ndarray | None = None,
 ) -> Step:
-    """Return K motions after n intervals each, by the equations of motion, with derivatives if asked.
+    """Propagate K motions over n intervals each by the equations of motion; return them at the ends, with derivatives if wanted.
 
     `inertia` (3, 3), or (K, 3, 3) of each motion, in mean moments; `omega` (K, n, 3): rates at the start, rad/s; `dt` (n), s, which
-    may be negative; `momenta`: two (n, 3), of the wheels at start and end, in mean moments times rad/s. `derivatives`: those by the
-    start are wanted, and those by one sigma of each of the `errors` (e, 3, 3) of the inertia.
+    may be negative; `momenta`: two (n, 3), of the wheels at start and end, in mean moments times rad/s. `derivatives`: by the
+    start, and by one sigma of each of the `errors` (e, 3, 3) of the inertia.
     """
+    # a sphere without wheels has a constant rate, and needs no integration
     bare = errors is None or not len(errors)
     sphere = inertia.ndim == 2 and bool((inertia == inertia[0, 0] * np.eye(3)).all())
     if bare and sphere and not (momenta[0].any() or momenta[1].any()):
-        return _turn_evenly(omega, dt, derivatives)
+        return _constant_rate_step(omega, dt, derivatives)
     bodies = inertia[None] if inertia.ndim == 2 else inertia  # (1 or K, 3, 3)
     angle = angle_turned(bodies, omega, dt, momenta)
     counts = np.clip(np.ceil(angle / STEP_RAD), LEAST_STEPS, MOST_STEPS).astype(np.int64)
@@ -103,31 +105,32 @@ def step(
         turned, rate = carry_bodies(bodies[None], omega[None], dt, counts, momenta)
         return Step(turned[0], rate[0])
 
-    # the first axis are runs: the motion itself, three with another rate, and one with each error of the inertia
+    # the first axis counts runs: the motion itself, three with a changed rate, and one with each error of the inertia
     errors = np.zeros((0, 3, 3)) if errors is None else errors
     of_rates, of_errors = slice(1, 4), slice(4, None)
-    # a rate is changed by what turns the body by DIFFERENCE in the interval
-    size = np.where(dt == 0, 1.0, dt)[:, None]
+    # one component of the rate is changed by what turns the body by DIFFERENCE in the interval; if that is zero, in 1 s
+    span_s = np.where(dt == 0, 1.0, dt)[:, None]
     rates = np.repeat(omega[None], 4 + len(errors), axis=0)
-    rates[of_rates] += np.eye(3)[:, None, None] * (DIFFERENCE / size)
+    rates[of_rates] += np.eye(3)[:, None, None] * (DIFFERENCE / span_s)
     bodies = np.repeat(bodies[None], len(rates), axis=0)
     bodies[of_errors] += INERTIA_DIFFERENCE * errors[:, None]
     turned, rate = carry_bodies(bodies, rates, dt, counts, momenta)
     change = np.concatenate([rotation_between(turned[0], turned[1:]), rate[1:] - rate[0]], axis=-1)
-    change = np.moveaxis(change, 0, -1)  # (K, n, 6, runs but the first)
+    change = np.moveaxis(change, 0, -1)  # (K, n, 6, runs but the first), relative to the first
     by_rate, by_error = change[..., :3], change[..., 3:]
     by_start = np.zeros((*omega.shape[:-1], 6, 6))
-    # a turn at the start is the same turn seen from the axes of the end, and changes no rate
+    # a turn at the start is the same turn in the body axes of the end, and changes no rate
     by_start[..., TURN, TURN] = turned[0]
-    by_start[..., RATE] = by_rate * size[..., None] / DIFFERENCE
+    by_start[..., RATE] = by_rate * span_s[..., None] / DIFFERENCE
     return Step(turned[0], rate[0], by_start, by_error / INERTIA_DIFFERENCE)
 
 
-def _turn_evenly(omega: np.ndarray, dt: np.ndarray, derivatives: bool) -> Step:
-    """Return motions of a sphere without wheels at rates (K, n, 3), with derivatives if asked: its rate stays as it is.
+def _constant_rate_step(omega: np.ndarray, dt: np.ndarray, derivatives: bool) -> Step:
+    """Return motions with constant rates `omega` (K, n, 3) in body axes after intervals `dt` (n), with derivatives if wanted.
 
-    A change dw of the rate turns the body by the integral of dw ds, each part of it as seen after the turn that is left. The
-    derivative is dt times the mean, over u from 0 to 1, of the turns by x u about the axis a. The whole interval turns by x:
+    They are those of a sphere without wheels. The body turns by the angle x about the axis a. A change dw of the rate adds the turn
+    dw dt du in each part du of the interval, which the rest of the rotation, by x u, carries to the axes of the end. So the
+    derivative of the turn at the end is dt times the mean of these rotation matrices over u from 0 to 1 (sinc(x) = sin(x) / x):
 
         sinc(x) I + (1 - sinc(x)) a a^T - (1 - cos x) / x [a x].
     """
@@ -140,7 +143,7 @@ def _turn_evenly(omega: np.ndarray, dt: np.ndarray, derivatives: bool) -> Step:
     sinc, half = np.sinc(x / np.pi), np.sinc(x / (2 * np.pi))
     along = np.swapaxes(axis, -1, -2) @ axis
     across = cross_matrix(axis[..., 0, :])
-    # of sin^2(x / 2) = (1 - cos x) / 2
+    # (1 - cos x) / x = 2 sin^2(x / 2) / x = x / 2 sinc(x / 2)^2
     mean = sinc * np.eye(3) + (1 - sinc) * along - x / 2 * half**2 * across
     by_start = np.zeros((*omega.shape[:-1], 6, 6))
     by_start[..., TURN, TURN] = turned

@@ -1,7 +1,7 @@
-"""From the samples that a fit has kept to all of them, and to instants between; and how far each sensor is from a motion.
+"""Motions carried from the samples to which they were fitted to all others, and the misfit of each sensor there.
 
-Between two kept samples the motion is carried forward from the first and backward from the second by the equations of motion, and
-the two are blended. Unknown torques in between are white angular acceleration whose ends are held: a bridge.
+Between two kept samples a motion is propagated forward from the first and backward from the second by the equations of motion, and
+the two are blended. Unknown torques in between are white angular acceleration between known ends: a Brownian bridge.
 """
 
 from __future__ import annotations
@@ -18,33 +18,36 @@ from sunspin.estimate.verdict import in_sigma
 from sunspin.solve.rotations import rotate_attitude, rotation_between
 
 CURVE_RAD, LEAST_INSTANTS, MOST_INSTANTS = 0.1, 50, 6000
-"""Turn of body or rate between two instants of a curve, unless that takes more instants than the last number."""
+"""Between two instants of a curve body and rate turn by the angle, unless that takes fewer or more instants than these."""
 
 COARSE_RAD, MOST_COARSE = 0.5, 60_000
-"""Then they turn by this much, below 30 degrees, so that whoever interpolates goes the right way round. The last number, 8 hours at
-60 deg/s, takes 90 MB while it is computed."""
+"""If it takes more, they turn by this angle: less than 30 degrees, so that interpolation goes the right way round. The last number
+of instants, 8 hours at 60 deg/s, takes 90 MB while it is computed."""
 
-TOGETHER = 1e-4
-"""An instant nearer to a sample than this part of the time between two instants is that sample."""
+SAME_INSTANT = 1e-4
+"""An instant of a curve is taken for a sample if it is nearer to it than this part of the time between two instants."""
 
 
-def filled(
+def propagate_to_all(
     model: Model, motions: Track, t_s: np.ndarray, momentum: np.ndarray, noise: np.ndarray
 ) -> tuple[Track, np.ndarray]:
-    """Return motions carried to all samples, and the derivative (K, n, 3, 6) of their mean rate there.
+    """Return K motions at all N samples of a pass, and the derivative (K, n, 3, 6) of their mean rate over these.
 
-    The derivative is that by turn and rate at each of the n kept samples; the motions there stay as given. `model`: of the kept
-    samples; `motions`: there, with covariance. `t_s` (N), s: all times, the first and the last being kept, with the `momentum` (N,
-    3) of the wheels in mean moments times rad/s. `noise` (n - 1), rad/s^1.5: strength of the unknown torques between kept samples.
+    The motions are given at the n kept samples, to which they were fitted, with covariance, and stay as they are there. The
+    derivative is by turn and rate at each of the kept samples.
+
+    `model`: of the kept samples. `t_s` (N), s: times of all samples, the first and the last being kept; `momentum` (N, 3): of the
+    wheels, in mean moments times rad/s. `noise` (n - 1), rad/s^1.5: strength of the unknown torques between kept samples.
     """
     kept = model.obs
-    # indices into all samples: of the kept ones, and of the others; and which kept one is before each of the others
+    # indices among all samples: of the kept ones, and of the others
     of_kept = np.searchsorted(t_s, kept.t_s)
     others = np.setdiff1d(np.arange(len(t_s)), of_kept)
+    # for each of the others: the kept sample before it, and its share of the interval to the next kept one
     before = np.searchsorted(of_kept, others) - 1
     span = kept.t_s[before + 1] - kept.t_s[before]
     share = (t_s[others] - kept.t_s[before]) / span
-    # a cubic that is level at both ends, so that there the rate of change of the attitude is the rate
+    # weight of the backward motion: a cubic that is level at both ends, so that the attitude changes there at the rate of the body
     blend = share**2 * (3 - 2 * share)
 
     k, n, n_all = len(motions), len(kept), len(t_s)
@@ -52,12 +55,13 @@ def filled(
     covariance = np.empty((k, n_all, 6, 6))
     attitude[:, of_kept], omega[:, of_kept] = motions.attitude, motions.omega
     covariance[:, of_kept] = motions.covariance
-    mean_map = np.zeros((k, n, 3, 6))
-    mean_map[..., RATE] = np.eye(3)
+    # derivative of the sum of the rates: a kept sample counts its own, and what the others take from it
+    sum_by_kept = np.zeros((k, n, 3, 6))
+    sum_by_kept[..., RATE] = np.eye(3)
 
     inertia = model.body.inertia_at(motions.u[:, model.inertia_slice])
     propagated: list[Step] = []
-    spread = _bridge(share, span, noise[before])
+    covariance_there = _bridge(share, span, noise[before])
     # forward from the sample before, backward from the one after; covariances are blended as if both were the same motion
     for start, weight in ((before, 1 - blend), (before + 1, blend)):
         dt = t_s[others] - kept.t_s[start]
@@ -66,60 +70,60 @@ def filled(
         by_start = stepped.by_start
         assert by_start is not None
         propagated.append(stepped._replace(turned=stepped.turned @ motions.attitude[:, start]))
-        covariance_there = by_start @ motions.covariance[:, start] @ np.swapaxes(by_start, -1, -2)
-        spread = spread + weight[:, None, None] * covariance_there
-        # a rate at time t contributes weight times its derivative by the state of the kept sample i that it came from
+        carried = by_start @ motions.covariance[:, start] @ np.swapaxes(by_start, -1, -2)
+        covariance_there = covariance_there + weight[:, None, None] * carried
         for i in range(n):
+            # weighted sum of the derivatives of the rates at the m samples that were reached from kept sample i
             from_i = start == i
             of_rate = by_start[:, from_i, RATE]
-            mean_map[:, i] += np.einsum("m,kmij->kij", weight[from_i], of_rate)
+            sum_by_kept[:, i] += np.einsum("m,kmij->kij", weight[from_i], of_rate)
     forward, backward = propagated
     weight = blend[:, None]
     turn = rotation_between(forward.turned, backward.turned)
     attitude[:, others] = rotate_attitude(forward.turned, weight * turn)
     omega[:, others] = forward.omega + weight * (backward.omega - forward.omega)
-    covariance[:, others] = spread
+    covariance[:, others] = covariance_there
     track = replace(motions, attitude=attitude, omega=omega, covariance=covariance)
-    return track, mean_map / n_all
+    return track, sum_by_kept / n_all
 
 
 def _bridge(share: np.ndarray, span: np.ndarray, noise: np.ndarray) -> np.ndarray:
-    """Return the covariance (m, 6, 6) of turn and rate at a share (m) of intervals (m) in s, under noise (m) in rad/s^1.5.
+    """Return the covariance (m, 6, 6) of turn and rate by torques of the strength `noise` (m) within intervals `span` (m), s.
 
-    The noise is white angular acceleration q; turn and rate are held at both ends of the interval T. Their variances are q^2 T^3
-    s^3 / 3 and q^2 T s (1 - 3 s), with s = share (1 - share).
+    The torques are white angular acceleration q, rad/s^1.5; turn and rate are known at both ends of the interval T. At the `share`
+    (m) of it their variances are q^2 T^3 p^3 / 3 and q^2 T p (1 - 3 p), with p = share (1 - share). Their correlation is left out.
     """
-    s = (share * (1 - share))[:, None, None]
+    p = (share * (1 - share))[:, None, None]
     square = (noise**2 * span)[:, None, None] * np.eye(3)
     covariance = np.zeros((len(share), 6, 6))
-    covariance[:, TURN, TURN] = square * span[:, None, None] ** 2 * s**3 / 3
-    covariance[:, RATE, RATE] = square * s * (1 - 3 * s)
+    covariance[:, TURN, TURN] = square * span[:, None, None] ** 2 * p**3 / 3
+    covariance[:, RATE, RATE] = square * p * (1 - 3 * p)
     return covariance
 
 
 def curve(model: Model, motion: Track, noise: float) -> tuple[np.ndarray, Track]:
-    """Return even instants (m) in s, and one motion there: so close that a figure may connect them by straight lines.
+    """Return even instants (m), s, and a motion (K = 1) there: so close that a figure may connect them by straight lines.
 
-    `model`: of all samples of the pass, at which the motion (K = 1) is known; `noise`: strength of unknown torques, rad/s^1.5.
+    `model`: of all samples of the pass, at which the motion is given; `noise`: strength of unknown torques, rad/s^1.5.
     """
     t_s, momentum = model.obs.t_s, model.obs.momentum
     spans = np.diff(t_s)
     angle = angle_turned(
         model.body.inertia[None], motion.omega[:, :-1], spans, (momentum[:-1], momentum[1:])
     )
-    # how far it would turn if it always were as fast as in its fastest interval
+    # by how much it would turn over the pass if it always were as fast as in its fastest interval
     turned = float((t_s[-1] - t_s[0]) * np.max(angle / spans))
     most = max(MOST_INSTANTS, min(np.ceil(turned / COARSE_RAD), MOST_COARSE))
     count = int(np.clip(np.ceil(turned / CURVE_RAD), LEAST_INSTANTS, most)) + 1
     instants = np.linspace(t_s[0], t_s[-1], count)
-    near = (instants[1] - instants[0]) * TOGETHER
-    # The motion is filled in at all samples and instants in one order. Of an instant next to a sample only the sample is taken.
-    next_instant = np.minimum(np.searchsorted(instants, t_s - near), count - 1)
-    is_sample = np.abs(instants[next_instant] - t_s) <= near
+    near_s = (instants[1] - instants[0]) * SAME_INSTANT
+    # the motion is computed at all samples and instants in one order; an instant that is near a sample is replaced by it
+    next_instant = np.minimum(np.searchsorted(instants, t_s - near_s), count - 1)
+    is_sample = np.abs(instants[next_instant] - t_s) <= near_s
     times = np.union1d(np.delete(instants, next_instant[is_sample]), t_s)
     wheels = np.stack([np.interp(times, t_s, part) for part in momentum.T], axis=1)
-    track, _ = filled(model, motion, times, wheels, np.full(len(spans), noise))
-    at = np.searchsorted(times, instants - near)
+    track, _ = propagate_to_all(model, motion, times, wheels, np.full(len(spans), noise))
+    at = np.searchsorted(times, instants - near_s)
     return instants, Track(
         track.attitude[:, at], track.omega[:, at], track.u, covariance=track.covariance[:, at]
     )
@@ -128,12 +132,11 @@ def curve(model: Model, motion: Track, noise: float) -> tuple[np.ndarray, Track]
 def residuals_by_sensor(
     obs: Observations, model: Model, track: Track, kept: np.ndarray
 ) -> dict[str, np.ndarray]:
-    """Return for each sensor how far its readings are from motions at all samples (K, N), in sigmas; NaN where it read nothing.
+    """Return for each sensor how far its readings are from K motions at N samples (K, N), in sigmas; NaN where it read nothing.
 
-    `obs`, `track`: readings and motions at all N samples; `model`: of the kept samples, to which the motions were fitted; `kept`
-    (n): which those are. At all others the covariance of the motion itself is added to the noise of a reading, since the motion was
-    not fitted to it. Errors that the vehicle file does not state (`Unknown.doubted`) are put to zero: a sensor fits if its readings
-    agree with what the file states.
+    `obs`, `track`: readings and motions at all samples of a pass. `model`: of the kept samples, to which the motions were fitted;
+    `kept` (n): indices of these. At all others the covariance of the motion is added to that of a reading, since the motion was not
+    fitted to it. Errors that the vehicle file does not state (`Unknown.doubted`) are zero: to fit, a sensor must agree with it.
     """
     was_fitted = np.isin(np.arange(len(obs)), kept)
     spread = np.where(was_fitted[:, None, None], 0.0, track.covariance)
@@ -143,6 +146,7 @@ def residuals_by_sensor(
     u = track.u * np.array([not unknown.doubted for unknown in model.unknowns], dtype=bool)
     residuals: dict[str, np.ndarray] = {}
     earlier = earlier_states(model, obs, replace(track, u=u))
+    # not strict: an alternative model may have a torque as one more term
     for term, fitted, own in zip(obs.terms, model.obs.terms, model.term_slices, strict=False):
         # an alternative model may estimate errors that the nominal one takes for none
         term = term.with_errors_of(fitted)
@@ -152,19 +156,20 @@ def residuals_by_sensor(
         states = track if term.of_sun or earlier is None else earlier.states
         square = _squares(term, states, u[:, own], spread, np.diff(obs.t_s))
         sigmas = np.where(freedom > 0, in_sigma(square, freedom), np.nan)
-        # two terms of one sensor share a label: the second counts where it read
-        known = residuals.get(term.label, np.nan)
-        residuals[term.label] = np.where(np.isnan(sigmas), known, sigmas)
+        # two terms of one sensor share a label: where both read, the second counts
+        of_first = residuals.get(term.label, np.nan)
+        residuals[term.label] = np.where(np.isnan(sigmas), of_first, sigmas)
     return residuals
 
 
 def _squares(
     term: Term, states: States, u: np.ndarray, spread: np.ndarray, dt: np.ndarray
 ) -> np.ndarray:
-    """Return squared differences (K, N) of a term, under the noise of its readings and the covariance of the states together.
+    """Return the squared size (K, N) of the differences of a term, in sigmas of readings and states together.
 
-    They are d^T (1 + S C S^T)^-1 d. S is the slope of the differences d by turn and rate, C the covariance `spread` (K, N, 6, 6).
-    If neighbours are compared, dt (N - 1) apart, the errors of both attitudes differ by that of the rate times dt.
+    It is d^T (1 + S C S^T)^-1 d. d are the differences in sigmas of the readings, S their slope by turn and rate, and C the
+    covariance `spread` (K, N, 6, 6) of the states. `u` (K, m): unknowns of the term. If it compares neighbours, `dt` (N - 1) apart,
+    the errors of both attitudes differ by that of the rate times dt.
     """
     square = np.zeros(states.omega.shape[:2])
     for residual in term.residuals(states, u):

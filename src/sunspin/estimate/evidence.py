@@ -1,7 +1,8 @@
 """How probable motions are: under every strength of unknown torques, every size of an error, and every model.
 
-The probability of a model, and of a motion under it, is the integral of the posterior density around its minimum (Laplace's
-method). A strength that is not known is a list of equally likely values. All of them stay in the sum: evidence chooses.
+The evidence of a motion under a model is the integral of prior density times likelihood around the motion (Laplace's method). If
+the strength of unknown torques is not known, it is one of a list of equally likely values; each is called a rung, the list a
+ladder. A motion is fitted under all of them, and its probability is the sum.
 """
 
 from __future__ import annotations
@@ -21,16 +22,15 @@ from sunspin.estimate.settings import LadderSettings, SearchSettings
 from sunspin.solve.rotations import rotate_attitude
 
 TORQUES = ("steady_torque", "magnetic_torque")
-"""Kinds of unknowns that turn the body far, so that the states follow them linearly only near the fit."""
+"""Kinds of unknowns that turn the body far, so that attitudes and rates depend on them linearly only near the fit."""
 
 
 @dataclass(frozen=True)
 class PassFits:
     """All fits of one pass, whose nominal model is `nominal`.
 
-    `fits`: one for each model and strength of torques; `rungs` (r): these strengths in rad/s^1.5, with the logs of their prior
-    probabilities `log_rung` (r). `used`: motions times samples that were fitted; `cut`: something was left out as the computing
-    budget was used up.
+    `fits`: one for each model and strength of unknown torques. `rungs` (r): these strengths, rad/s^1.5; `log_rung` (r): logs of
+    their prior probabilities. `used`: motions times samples that were fitted. `cut`: the budget was used up before all was tried.
     """
 
     nominal: Model
@@ -41,11 +41,11 @@ class PassFits:
     cut: bool = False
 
     def rung(self, fitted: Fit) -> int:
-        """Return the number of the rung, the strength of torques, under which a fit was made."""
+        """Return the index in `rungs` of the strength of torques under which a fit was made."""
         return self.rungs.index(fitted.model.noise.acceleration)
 
     def log_evidence_of_rungs(self) -> np.ndarray:
-        """Return the log evidence (r) of each rung, motions and models summed, before its prior; minus infinity without a fit."""
+        """Return the log evidence (r) of each rung, summed over motions and models, without its prior; minus infinity if no fit."""
         total = np.full(len(self.rungs), -np.inf)
         for fitted in self.fits:
             rung = self.rung(fitted)
@@ -61,14 +61,14 @@ def ladder(
     first_rung: float,
     rival: float = -np.inf,
 ) -> list[Fit]:
-    """Return fits of a model under every strength of unknown torques, one for each rung that is reached.
+    """Fit motions of a model under every strength of unknown torques; return one fit for each rung that is reached.
 
-    A rung is one strength, in rad/s^1.5. First come the rungs from `first_rung` up, then those below it, downward. Each fit begins
-    where the one before ended, since a motion hardly moves under weak torques. A path ends with a rung that is hopeless compared
-    with the best one, or with another model whose log evidence is `rival`. `search_settings`: what a copy of a motion is, and how
-    many motions are kept.
+    A rung is one strength, rad/s^1.5. The rungs from `first_rung` up come first, then those below it, downward. Each fit begins
+    where the one before ended, since a motion hardly moves in a fit under weak torques. A path, up or down, ends with a rung whose
+    best motion has a log evidence `s.hopeless` below that of the best rung, or below `rival`, that of another model.
+    `search_settings`: which motions are copies of each other, and how many are kept.
 
-    If a rung above makes the first one hopeless, the fit on the first may have ended on its way to a minimum. The path down then
+    If a stronger rung makes the first one hopeless, the fit on the first may have ended on its way to a minimum. The path down then
     begins at the highest rung reached, and fits all rungs below it again. Without this a wrong motion was decided. The true one, of
     a body with products of inertia that its file stated as zero, cost 196 on the first rung, 24 on the next, and 229 below the
     first; its alias had come down from strong torques, and cost less.
@@ -78,25 +78,28 @@ def ladder(
     first, first_summed = _fit_and_select(
         model.under(first_rung), motions, s.first_steps, s, search_settings
     )
-    # the first strength need not be a rung: then its fit is only a beginning
+    # by rung; the first strength need not be a rung of the list: then its fit is only a beginning
     fits = {first_rung: first_summed} if first_rung in s.rungs and len(first) else {}
 
-    def follow(path: Sequence[float], last: Fit, last_rung: float) -> tuple[Fit, float]:
+    def fit_path(path: Sequence[float], begin: Fit, begin_rung: float) -> tuple[Fit, float]:
         """Fit the rungs of `path` one after the other and add the fits to `fits`; return the last fit and its rung.
 
-        The first begins at the motions of the fit `last`, on the rung `last_rung`. The next fit begins where the one before ended.
-        What is added to `fits` is `summed`: the same fit with its evidence summed over all sizes that its unknowns may have.
+        The first begins at the motions of the fit `begin`, on the rung `begin_rung`, each next one where the fit before ended. What
+        is added to `fits` is the fit after its sum over the sizes of its sigmas (`sum_over_shares`).
         """
+        last, last_rung = begin, begin_rung
         for rung in path:
-            # in steps of a factor `cooling` at most: stiffened more at once, a motion would stay where it is
+            # Rungs are farther apart than a motion can follow: from one to the next in steps of a factor `cooling` at most. 1e-9:
+            # a ratio of exactly `cooling` is one step, however it is rounded.
             steps = max(1, int(np.ceil(abs(np.log(rung / last_rung)) / np.log(s.cooling) - 1e-9)))
-            for level in (*np.geomspace(last_rung, rung, steps + 1)[1:-1].tolist(), rung):
-                under = model.under(level)
-                begin = rescale_unknowns(last.motions, last.model, under)
+            between = np.geomspace(last_rung, rung, steps + 1)[1:-1].tolist()
+            for strength in (*between, rung):
+                under = model.under(strength)
+                motions = rescale_unknowns(last.motions, last.model, under)
                 # on the way down a rung may have a fit already, from the way up: its motions are fitted again too
-                if level in fits:
-                    begin = Track.joined([begin, fits[level].to_begin_from])
-                last, summed = _fit_and_select(under, begin, s.steps, s, search_settings)
+                if strength in fits:
+                    motions = Track.joined([motions, fits[strength].to_begin_from])
+                last, summed = _fit_and_select(under, motions, s.steps, s, search_settings)
             last_rung = rung
             if not len(last):
                 break
@@ -106,51 +109,56 @@ def ladder(
                 break
         return last, last_rung
 
-    rungs = sorted(s.rungs)
-    last, last_rung = follow([rung for rung in rungs if rung > first_rung], first, first_rung)
+    above = [rung for rung in sorted(s.rungs) if rung > first_rung]
+    highest, highest_rung = fit_path(above, first, first_rung)
     best = max((float(fitted.log_evidence.max()) for fitted in fits.values()), default=-np.inf)
-    if not len(last) or first_summed.log_evidence.max(initial=-np.inf) >= best - s.hopeless:
-        last, last_rung = first, first_rung
-    follow([below for below in reversed(rungs) if below < last_rung], last, last_rung)
+    first_hopeless = first_summed.log_evidence.max(initial=-np.inf) < best - s.hopeless
+    from_top = first_hopeless and len(highest)
+    begin, begin_rung = (highest, highest_rung) if from_top else (first, first_rung)
+    below = [rung for rung in sorted(s.rungs, reverse=True) if rung < begin_rung]
+    fit_path(below, begin, begin_rung)
     return list(fits.values())
 
 
 def _fit_and_select(
     model: Model, motions: Track, steps: int, s: LadderSettings, search_settings: SearchSettings
 ) -> tuple[Fit, Fit]:
-    """Return the fit of motions without copies and hopeless ones, and it summed over the sizes of its unknowns (`over_shares`).
+    """Fit motions and select from them; return the fit, and the same fit summed over the sizes of its sigmas (`sum_over_shares`).
 
-    The sum decides what is hopeless: a motion that needs only a small torque is far more probable under a small sigma of it than
-    under the widest, under which it is fitted.
+    Copies and hopeless motions are left out of both. The evidence after the sum decides what is hopeless: a motion that needs only
+    a small torque is far more probable under a small sigma of it than under the largest one, under which it is fitted.
     """
     fitted = fit(model, motions, steps, s.tolerance)
-    # Under weak torques a fit makes hardly any way. A motion whose cost has risen may stand on a slope: it is fitted further by
-    # steps that obey the equations of motion.
-    span_s = float(np.ptp(model.obs.t_s))
-    stiff = model.noise.acceleration * np.sqrt((span_s / 2) ** 3 / 3) <= s.stiff_rad
-    if stiff and len(motions.cost) == len(fitted):
+    # Under weak torques a fit moves little in its steps. A motion whose cost is higher than under the torques before may not have
+    # reached its minimum: it is fitted further by steps that obey the equations of motion.
+    half_s = float(np.ptp(model.obs.t_s)) / 2
+    # in the time T torques of the strength q turn the body by q sqrt(T^3 / 3)
+    weak = model.noise.acceleration * np.sqrt(half_s**3 / 3) <= s.stiff_rad
+    if weak and len(motions.cost) == len(fitted):
         rises = fitted.motions.cost > motions.cost + s.creeping
         if rises.any():
             begin = fitted.motions.take(np.flatnonzero(rises))
             lower = fit(model, begin, steps, s.tolerance, along_equations=True)
             fitted = _join_fits([fitted.take(np.flatnonzero(~rises)), lower])
-    shared = over_shares(fitted, s.beyond_fit)
-    which = _distinct_motions(shared, s, search_settings)
-    return fitted.take(which), shared.take(which)
+    summed = sum_over_shares(fitted, s.beyond_fit)
+    which = _distinct_motions(summed, s, search_settings)
+    return fitted.take(which), summed.take(which)
 
 
 def rescale_unknowns(motions: Track, before: Model, after: Model) -> Track:
-    """Return motions with their unknowns, given in sigmas of the model `before`, in sigmas of the model `after`.
+    """Return motions with the unknowns of the model `after`, in its sigmas; the motions have those of the model `before`.
 
-    An unknown that only one of the models has is left out, or begins at its centre.
+    An unknown that only `before` has is left out; one that only `after` has begins at its centre.
     """
-    index = {unknown.name: k for k, unknown in enumerate(before.unknowns)}
+    index_before = {unknown.name: k for k, unknown in enumerate(before.unknowns)}
     u = np.zeros((len(motions), len(after.unknowns)))
-    for k, now in enumerate(after.unknowns):
-        number = index.get(now.name, motions.u.shape[1])
-        if number < motions.u.shape[1]:
-            was = before.unknowns[number]
-            u[:, k] = motions.u[:, number] * (was.sigma / now.sigma if now.sigma > 0 else was.sigma)
+    for k, unknown in enumerate(after.unknowns):
+        # motions may lack the last unknowns of their model
+        index = index_before.get(unknown.name, motions.u.shape[1])
+        if index < motions.u.shape[1]:
+            sigma = before.unknowns[index].sigma
+            ratio = sigma / unknown.sigma if unknown.sigma > 0 else sigma
+            u[:, k] = motions.u[:, index] * ratio
     return replace(motions, u=u)
 
 
@@ -158,73 +166,43 @@ def _distinct_motions(
     fitted: Fit, s: LadderSettings, search_settings: SearchSettings
 ) -> np.ndarray:
     """Return the indices of a fit's motions without copies and hopeless ones, the most probable first."""
-    return distinct(
-        fitted.motions,
-        fitted.model.obs.t_s,
-        search_settings,
-        drop=s.hopeless,
-        order_by=-fitted.log_evidence,
-    )
+    t_s, order_by = fitted.model.obs.t_s, -fitted.log_evidence
+    return distinct(fitted.motions, t_s, search_settings, drop=s.hopeless, order_by=order_by)
 
 
-def over_shares(fitted: Fit, beyond_fit: float) -> Fit:
-    """Return a fit with evidence and moments summed over the shares of its unknowns' sigmas.
+def sum_over_shares(fitted: Fit, beyond_fit: float) -> Fit:
+    """Return a fit (K motions) summed over the possible sizes of its prior sigmas: evidence, means and covariances of the mixture.
 
-    The fit is under the widest sigmas. Its unknowns u have the mean m and the precision P. If the readings depend on them linearly,
-    a prior with the share c of a sigma adds d = 1/c^2 - 1 to the precision of each: P' = P + d, and P' m' = P m. The log evidence
-    changes by (m' P' m' - m P m + log det P - log det P') / 2, less log c for each unknown: the norm of its prior.
-
-    Constant torques turn the body far, and the readings are linear only near the fit: shares that allow `beyond_fit` times more
-    than the fitted size get nothing.
+    The prior sigma of a quantity of unknown size, as of a torque, is the largest one times one of several equally likely factors,
+    its shares (:class:`Unknown`). The fit is made under the largest sigmas. For the others its evidence and its Gaussian change by
+    formulas (:func:`_posterior_under_shares`, also for `beyond_fit`); all other unknowns and the states follow by their covariance.
     """
-    # indices of the unknowns whose sigma has several sizes, by their kind: all of a kind have the same
+    # indices of the unknowns whose sigma has several sizes, by their kind: all of a kind have the same size
     groups: dict[str, list[int]] = {}
     for i, unknown in enumerate(fitted.model.unknowns):
         if len(unknown.shares) > 1:
             groups.setdefault(unknown.kind, []).append(i)
     if not groups or not len(fitted):
         return fitted
-    # only these unknowns (g) change by themselves; `of_kind`: their indices among the g
-    shared = np.concatenate([*groups.values()])
-    of_kind = {kind: [list(shared).index(i) for i in group] for kind, group in groups.items()}
+    shared = np.concatenate([*groups.values()])  # (g) all these indices
     u = fitted.motions.u[:, shared]
     of_shared = np.nan_to_num(fitted.u_covariance[:, shared[:, None], shared])
-    # a fit that did not end in a minimum has a covariance that is none: it stays under the widest sigmas
-    sound = np.linalg.eigvalsh(of_shared)[:, 0] > 0
-    of_shared = np.where(sound[:, None, None], of_shared, np.eye(len(shared)))
+    # a fit that did not end in a minimum has no valid covariance: it stays under the largest sigmas
+    valid = np.linalg.eigvalsh(of_shared)[:, 0] > 0
+    of_shared = np.where(valid[:, None, None], of_shared, np.eye(len(shared)))
     precision = np.linalg.pinv(of_shared, hermitian=True)
-    slope = (precision @ u[..., None])[..., 0]
-    before = np.linalg.slogdet(precision)[1] - np.einsum("kg,kg->k", slope, u)  # log det P - m P m
+    gain, mean, covariance = _posterior_under_shares(fitted, groups, precision, valid, beyond_fit)
 
-    gains, means, covariances = [], [], []  # of each combination of shares (c)
-    for shares in product(*(fitted.model.unknowns[group[0]].shares for group in groups.values())):
-        added, log_size, allowed = np.zeros(len(shared)), 0.0, np.ones(len(fitted), dtype=bool)
-        for share, (kind, group) in zip(shares, groups.items(), strict=True):
-            added[of_kind[kind]] = 1 / share**2 - 1
-            log_size += len(group) * np.log(share)
-            if kind in TORQUES:
-                size = np.abs(u[:, of_kind[kind]]).max(axis=1)
-                least = min(fitted.model.unknowns[group[0]].shares)
-                allowed &= share <= beyond_fit * np.maximum(size, least)
-        matrix = precision + np.diag(added)
-        covariance = np.linalg.inv(matrix)
-        mean = (covariance @ slope[..., None])[..., 0]
-        after = np.linalg.slogdet(matrix)[1] - np.einsum("kg,kg->k", slope, mean)  # of P', m'
-        gain = np.where(allowed, (before - after) / 2 - log_size, -np.inf)
-        gains.append(np.where(sound, gain, 0.0 if set(shares) == {1.0} else -np.inf))
-        means.append(mean)
-        covariances.append(covariance)
-    gain, mean, covariance = np.array(gains), np.array(means), np.array(covariances)
-
-    # mean and covariance of the mixture of all shares
+    # mean and covariance of the mixture over the c combinations of shares
     weight = np.exp(gain - logsumexp(gain, axis=0))
     centre = np.einsum("ck,ckg->kg", weight, mean)
     off = mean - centre
     spread = np.einsum("ck,ckij->kij", weight, covariance + off[..., :, None] * off[..., None, :])
-    # all unknowns follow the shared ones by their covariance, and the states follow the unknowns by `fitted.states_by_u`
+    # Regression on the shared unknowns: if their mean changes by d and their covariance by D, those of all unknowns change by B d
+    # and B D B^T, with B = (covariance of all with the shared) (that of the shared)^-1; the states by `states_by_u` times that.
     by_shared = fitted.u_covariance[:, :, shared] @ precision
-    u_change = sound[:, None] * (by_shared @ (centre - u)[..., None])[..., 0]
-    widening = sound[:, None, None] * by_shared @ (spread - of_shared)
+    u_change = valid[:, None] * (by_shared @ (centre - u)[..., None])[..., 0]
+    widening = valid[:, None, None] * by_shared @ (spread - of_shared)
     widening = widening @ np.swapaxes(by_shared, -1, -2)
     state_change = np.einsum("knim,km->kni", fitted.states_by_u, u_change)
     state_widening = (
@@ -237,71 +215,120 @@ def over_shares(fitted: Fit, beyond_fit: float) -> Fit:
         fitted.motions.cost,
         fitted.motions.covariance + state_widening,
     )
-    log_evidence = fitted.log_evidence + logsumexp(gain, axis=0) - np.log(len(gain))
-    u_covariance = fitted.u_covariance + widening
-    return Fit(
-        model=fitted.model,
+    return replace(
+        fitted,
         motions=motions,
-        log_evidence=log_evidence,
-        u_covariance=u_covariance,
-        states_by_u=fitted.states_by_u,
+        log_evidence=fitted.log_evidence + logsumexp(gain, axis=0) - np.log(len(gain)),
+        u_covariance=fitted.u_covariance + widening,
         lowest=fitted.motions,
     )
 
 
-def share_noise(passes: Sequence[PassFits], s: LadderSettings) -> list[PassFits]:
-    """Return the passes with a prior of each rung that comes in part from the other passes of the file.
+def _posterior_under_shares(
+    fitted: Fit,
+    groups: dict[str, list[int]],
+    precision: np.ndarray,
+    valid: np.ndarray,
+    beyond_fit: float,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return what other sigmas change in a fit: log evidence (c, K), and mean (c, K, g) and covariance (c, K, g, g) of g unknowns.
 
-    The same torques act in all passes of a file, mostly. The share `s.common` of the prior of a rung comes from the other passes,
-    the rest is even. What the others say of a rung is the product of their evidences of it. Each of these is mixed in the same way
-    with the mean evidence of its pass, so that one odd pass cannot decide.
+    They are for each of c combinations of the shares of these unknowns, and K motions. `groups`: indices of the unknowns by kind;
+    `precision` (K, g, g): inverse of their covariance in the fit, without a meaning for motions that are not `valid` (K).
+
+    The unknowns u have the mean m and the precision P. If the readings depend on them linearly, a prior with the share f of a sigma
+    adds d = 1/f^2 - 1 to the precision of each: P' = P + d, and P' m' = P m. The log evidence changes by (m' P' m' - m P m + log
+    det P - log det P') / 2, less log f for each unknown: the norm of its prior. Torques turn the body far, and the readings are
+    linear only near the fit: a share that allows `beyond_fit` times more than the fitted size has no probability.
     """
-    log = np.array([pass_fits.log_evidence_of_rungs() for pass_fits in passes])  # (pass, rung)
-    even = np.full(log.shape[1], -np.log(log.shape[1]))
-    # a pass has the rung of the file with the probability `common`, else any
-    log_mean = logsumexp(log + even, axis=1, keepdims=True)
-    mixed = np.logaddexp(np.log(s.common) + log, np.log1p(-s.common) + log_mean)
-    others = mixed.sum(axis=0) - mixed  # the product over all other passes
-    prior = np.logaddexp(np.log(s.common) + log_softmax(others, axis=1), np.log1p(-s.common) + even)
-    return [replace(pass_fits, log_rung=row) for pass_fits, row in zip(passes, prior, strict=True)]
+    shared = np.concatenate([*groups.values()])
+    of_kind = {kind: np.flatnonzero(np.isin(shared, group)) for kind, group in groups.items()}
+    u = fitted.motions.u[:, shared]
+    slope = (precision @ u[..., None])[..., 0]  # P m
+    before = np.linalg.slogdet(precision)[1] - np.einsum("kg,kg->k", slope, u)  # log det P - m P m
+    gains, means, covariances = [], [], []  # of each combination
+    for shares in product(*(fitted.model.unknowns[group[0]].shares for group in groups.values())):
+        added, log_size, allowed = np.zeros(len(shared)), 0.0, np.ones(len(fitted), dtype=bool)
+        for share, (kind, group) in zip(shares, groups.items(), strict=True):
+            added[of_kind[kind]] = 1 / share**2 - 1
+            log_size += len(group) * np.log(share)
+            if kind in TORQUES:
+                size = np.abs(u[:, of_kind[kind]]).max(axis=1)
+                least = min(fitted.model.unknowns[group[0]].shares)
+                allowed &= share <= beyond_fit * np.maximum(size, least)
+        matrix = precision + np.diag(added)  # P'
+        covariance = np.linalg.inv(matrix)
+        mean = (covariance @ slope[..., None])[..., 0]  # m'
+        after = np.linalg.slogdet(matrix)[1] - np.einsum("kg,kg->k", slope, mean)
+        gain = np.where(allowed, (before - after) / 2 - log_size, -np.inf)
+        # without a covariance only the largest sigmas count
+        gains.append(np.where(valid, gain, 0.0 if set(shares) == {1.0} else -np.inf))
+        means.append(mean)
+        covariances.append(covariance)
+    return np.array(gains), np.array(means), np.array(covariances)
+
+
+def share_noise(passes: Sequence[PassFits], s: LadderSettings) -> list[PassFits]:
+    """Return the passes with a prior of the strength of torques that comes in part from the other passes of the file.
+
+    Mostly the same torques act in all passes of a file. So the file is assumed to have one strength, and each pass to have that one
+    with the probability `s.common`, else any of the rungs. The rule also limits what one odd pass can say against a rung.
+    """
+    log_evidence = np.array([pass_fits.log_evidence_of_rungs() for pass_fits in passes])
+    log_even = np.full(log_evidence.shape[1], -np.log(log_evidence.shape[1]))
+    log_common, log_any = np.log(s.common), np.log1p(-s.common)
+    # log evidence of each pass (row) if the file has each strength (column)
+    log_mean = logsumexp(log_evidence + log_even, axis=1, keepdims=True)
+    given_file = np.logaddexp(log_common + log_evidence, log_any + log_mean)
+    # of the file's strength, by all passes but one: sums of logs; then the prior of that one pass
+    by_others = given_file.sum(axis=0) - given_file
+    log_prior = np.logaddexp(log_common + log_softmax(by_others, axis=1), log_any + log_even)
+    return [replace(fits, log_rung=row) for fits, row in zip(passes, log_prior, strict=True)]
 
 
 def best_motions(fits: Sequence[Fit], count: int, search_settings: SearchSettings) -> Track:
     """Return the `count` most probable motions of the nominal model under any strength of torques, without copies.
 
-    They are those from which another fit begins; there are none if the nominal model has no fit.
+    Other fits begin from them. The result is empty if the nominal model has no fit.
     """
     nominal_fits = [fitted for fitted in fits if fitted.model.what == AS_STATED and len(fitted)]
     if not nominal_fits:
+        # no motion, with the shapes of those of another model
         return fits[0].motions.take(slice(0)) if fits else Track.free(*np.zeros((2, 0, 0, 3)))
     motions = Track.joined([fitted.to_begin_from for fitted in nominal_fits])
-    log = np.concatenate([fitted.log_evidence for fitted in nominal_fits])
+    log_evidence = np.concatenate([fitted.log_evidence for fitted in nominal_fits])
     t_s = nominal_fits[0].model.obs.t_s
-    return motions.take(distinct(motions, t_s, search_settings, count, np.inf, order_by=-log))
+    which = distinct(motions, t_s, search_settings, count, drop=np.inf, order_by=-log_evidence)
+    return motions.take(which)
 
 
 def best_fit(fits: Sequence[Fit]) -> Fit:
-    """Return the fit with the most probable motion, all strengths of torques being equally likely."""
-    return max(
-        (fitted for fitted in fits if len(fitted)),
-        key=lambda fitted: float(fitted.log_evidence.max()),
-    )
+    """Return the most probable motion of all fits, as a fit of it alone (K = 1); all strengths of torques are equally likely."""
+    with_motions = (fitted for fitted in fits if len(fitted))
+    best = max(with_motions, key=lambda fitted: float(fitted.log_evidence.max()))
+    return best.take(np.array([np.argmax(best.log_evidence)]))
+
+
+def best_nominal_fit(fits: Sequence[Fit]) -> Fit:
+    """Return the most probable motion of the nominal model, under any strength of torques, as a fit of it alone (K = 1)."""
+    return best_fit([fitted for fitted in fits if fitted.model.what == AS_STATED])
 
 
 def best_cost(fits: Sequence[Fit]) -> float:
-    """Return the cost of the most probable motion; infinity without any.
+    """Return the cost of the most probable motion of all fits; infinity if there is none.
 
-    Another motion may cost less: under the strongest torques nearly everything costs little, and is improbable.
+    It is not the least cost: under the strongest torques nearly every motion costs little, and is improbable.
     """
-    pairs = (zip(fitted.log_evidence, fitted.motions.cost, strict=True) for fitted in fits)
-    return float(max(chain.from_iterable(pairs), default=(0.0, np.inf))[1])
+    motions = (zip(fitted.log_evidence, fitted.motions.cost, strict=True) for fitted in fits)
+    _, cost = max(chain.from_iterable(motions), default=(0.0, np.inf))
+    return float(cost)
 
 
 def merge_fits(
     fits: Sequence[Fit], s: LadderSettings, search_settings: SearchSettings
 ) -> list[Fit]:
-    """Return one fit for each model and strength of torques, in which a motion that several fits have counts once."""
-    groups: dict[tuple[str, float], list[Fit]] = {}
+    """Return one fit for each model and strength of torques; a motion that several fits contain is counted once."""
+    groups: dict[tuple[str, float], list[Fit]] = {}  # by the model's name and the strength
     for fitted in fits:
         groups.setdefault((fitted.model.what, fitted.model.noise.acceleration), []).append(fitted)
     joined = [_join_fits(group) for group in groups.values()]
@@ -310,8 +337,11 @@ def merge_fits(
 
 def _join_fits(fits: list[Fit]) -> Fit:
     """Return the motions of several fits of one model as one fit."""
-    parts = ((fitted.log_evidence, fitted.u_covariance, fitted.states_by_u) for fitted in fits)
-    motions = Track.joined([fitted.motions for fitted in fits])
-    lowest = Track.joined([fitted.to_begin_from for fitted in fits])
-    joined = (np.concatenate(part) for part in zip(*parts, strict=True))
-    return Fit(fits[0].model, motions, *joined, lowest)
+    return Fit(
+        model=fits[0].model,
+        motions=Track.joined([fitted.motions for fitted in fits]),
+        log_evidence=np.concatenate([fitted.log_evidence for fitted in fits]),
+        u_covariance=np.concatenate([fitted.u_covariance for fitted in fits]),
+        states_by_u=np.concatenate([fitted.states_by_u for fitted in fits]),
+        lowest=Track.joined([fitted.to_begin_from for fitted in fits]),
+    )

@@ -1,8 +1,8 @@
-"""Motions that panels cannot distinguish: mirror images and rotated copies of one motion.
+"""Symmetric solutions: mirror images and rotated copies of a motion, which panels cannot distinguish from it.
 
-If panels share an input, it is not known which of them is lit; if all lie in one plane, a mirror across it changes no reading. A
-body and its Sun seen in such a mirror move by the same laws. The search finds one of these motions, and the others are made from
-it; each is then fitted by itself, since inertia, wheels or other sensors may distinguish them after all.
+If panels share an input, the readings do not show which of them is lit; if all lie in one plane, a mirror across it changes no
+reading. A body and its Sun in such a mirror obey the same equations of motion. The search finds one of these motions, and the
+others are computed from it. Each is then fitted by itself, since inertia, wheels or other sensors may distinguish them after all.
 """
 
 from __future__ import annotations
@@ -15,15 +15,16 @@ from sunspin.estimate.model import Model, Track
 from sunspin.estimate.settings import SearchSettings
 from sunspin.estimate.terms.panels import Panels
 
-FAMILIES = 6
-"""Motions of which images are made, at most."""
+MOST_FAMILIES = 6
+"""Motions whose images are added, at most."""
 
-OPPOSITE, SAME_SIGMAS = -0.9, 3.0
-"""Largest cosine between the Suns of two motions that see it on opposite sides, and how far (sigmas) their rates may be apart."""
+OPPOSITE_COSINE, SAME_SIGMAS = -0.9, 3.0
+"""Two motions see the Sun on opposite sides if the cosine between its directions is below the first, and have the same rate if
+their rates differ by less than the second, in sigmas."""
 
 
 def images_of(model: Model) -> np.ndarray:
-    """Return mirrors and rotations (m, 3, 3) of the body that change no reading of the Sun, the identity first."""
+    """Return the mirrors and rotations (m, 3, 3) of body axes that change no reading of the Sun, the identity first."""
     of_sun = [term for term in model.obs.terms if term.of_sun]
     if len(of_sun) != 1 or not isinstance(of_sun[0], Panels):
         return np.eye(3)[None]
@@ -31,44 +32,47 @@ def images_of(model: Model) -> np.ndarray:
 
 
 def imaged(motions: Track, image: np.ndarray) -> Track:
-    """Return motions as a mirror or rotation of the body (3, 3) shows them, without cost and covariance.
+    """Return motions after a mirror or rotation `image` (3, 3) of body axes, without cost and covariance.
 
-    Rates are axial vectors, whose sign a mirror reverses. A mirrored attitude is a rotation only if an axis of N is mirrored too:
-    x, which is across the Sun.
+    Rates are axial vectors: a mirror also reverses their sign. It mirrors the x axis of N too, to make the attitude a rotation
+    again.
     """
-    side = np.sign(np.linalg.det(image))
-    attitude = image @ motions.attitude @ np.diag([side, 1.0, 1.0])
-    return Track(attitude, side * (motions.omega @ image.T), motions.u)
+    sign = np.sign(np.linalg.det(image))  # -1 for a mirror
+    attitude = image @ motions.attitude @ np.diag([sign, 1.0, 1.0])
+    return Track(attitude, sign * (motions.omega @ image.T), motions.u)
 
 
 def with_images(motions: Track, model: Model, s: SearchSettings) -> Track:
-    """Return motions and all images of the first :data:`FAMILIES` of them that are not images of each other.
+    """Return motions and the images of the :data:`MOST_FAMILIES` best of them that are not images of each other.
 
-    `motions`: the best first. They come first in the result too.
+    `motions`: the best first. All of them come first in the result too, then the images; none has cost or covariance.
     """
     images = images_of(model)
     if len(images) == 1 or not len(motions):
         return motions
     # A family is a motion with all its images. A further motion that is a copy of one of a family makes no new family.
-    t_s, outlines, new = model.obs.t_s, [], []
+    t_s, outlines_of_families, added = model.obs.t_s, [], []
     for k in range(len(motions)):
         motion = motions.take(slice(k, k + 1))
         outline = Outline.of(motion, t_s)
-        # copies by their turns alone: without covariances nothing is in one valley, so the allowance in sigmas is zero
-        if any(outline.copies(0, family, s.copies_rad, 0.0).any() for family in outlines):
+        # images have no covariance, so that rates are not compared: the allowance of zero sigmas has no effect
+        if any(outline.copies(0, o, s.copies_rad, 0.0).any() for o in outlines_of_families):
             continue
         family = Track.joined([imaged(motion, image) for image in images])
-        outlines.append(Outline.of(family, t_s))
-        new.append(family.take(slice(1, None)))  # without the motion itself
-        if len(new) == FAMILIES:
+        outlines_of_families.append(Outline.of(family, t_s))
+        added.append(family.take(slice(1, None)))  # without the motion itself
+        if len(added) == MOST_FAMILIES:
             break
     unfitted = Track(motions.attitude, motions.omega, motions.u)
-    return Track.joined([unfitted, *new])
+    return Track.joined([unfitted, *added])
 
 
 def either_side(motions: Track) -> np.ndarray:
-    """Return which motions (K) are the first one, or turn like it and see the Sun on the opposite side all the time."""
-    opposite = np.einsum("kni,ni->kn", motions.sun_B, motions.sun_B[0]).max(axis=1) < OPPOSITE
+    """Return which motions (K) are the first one, or have its rates and see the Sun on the opposite side at all samples."""
+    opposite = (
+        np.einsum("kni,ni->kn", motions.sun_B, motions.sun_B[0]).max(axis=1) < OPPOSITE_COSINE
+    )
+    # (n) of the size of the rate vector's error: root of the trace of the covariance
     sigma = np.sqrt(np.einsum("nii->n", motions.covariance[0, :, RATE, RATE]))
     off = np.linalg.norm(motions.omega - motions.omega[0], axis=-1)
     same_rate = (off < SAME_SIGMAS * sigma).all(axis=1)

@@ -7,6 +7,7 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cache, partial
 from itertools import repeat
+from typing import Any
 
 import numpy as np
 
@@ -19,13 +20,14 @@ from sunspin.estimate.evidence import (
     best_cost,
     best_fit,
     best_motions,
+    best_nominal_fit,
     ladder,
     merge_fits,
     rescale_unknowns,
 )
 from sunspin.estimate.field_led import leading_field, models_to_search, prepare_fit, to_nominal_axes
 from sunspin.estimate.images import images_of, with_images
-from sunspin.estimate.model import AS_STATED, Model, Noise, Track
+from sunspin.estimate.model import Model, Noise, Track
 from sunspin.estimate.quick import quick_evidence
 from sunspin.estimate.search import search
 from sunspin.estimate.settings import RatesSettings, SearchSettings
@@ -36,70 +38,106 @@ from sunspin.estimate.starts import (
     pair_starts,
     pairs_to_try,
 )
-from sunspin.estimate.swings import swings_by_all_ways
+from sunspin.estimate.swings import fits_of_oscillation
 from sunspin.estimate.terms.field import FieldChange
 
 
 @dataclass(frozen=True)
 class PassFitter:
-    """Fits passes side by side, each with a `budget` of its own; `run` is `map`, or that of a pool of processes."""
+    """Fits passes side by side, each with a copy of the `budget`; `run` is `map`, or that of a pool of processes."""
 
     settings: RatesSettings
     budget: Budget
     run: Callable = map
 
     def fits(self, models: Sequence[Model]) -> Iterable[PassFits]:
-        """Yield the fits of passes, each as :func:`one_pass` returns them for its nominal model."""
+        """Yield the fits of each pass by :func:`one_pass`; `models`: the nominal model of each."""
         return self.run(one_pass, models, repeat(self.settings), repeat(self.budget))
 
     def quick_evidence(self, models: Sequence[Model]) -> Iterable[float]:
-        """Yield the log evidence of passes by a quick search each (:mod:`sunspin.estimate.quick`)."""
+        """Yield the log evidence of each pass by a quick search (:mod:`sunspin.estimate.quick`)."""
         budgets = [replace(self.budget) for _ in models]
         return self.run(quick_evidence, models, repeat(self.settings), budgets)
 
     def fits_if_any(
         self, models: Sequence[Model], begin: Sequence[Track | None] | None = None
     ) -> list[PassFits | None]:
-        """Return the fits of passes, None for one whose model allows no motion.
+        """Return the fits of each pass, None if its model allows no motion.
 
-        `begin`: for each pass the motions from which its fit begins, or None if it is searched for them; by default all are.
+        `begin`: for each pass the motions from which its fit begins, None for a search; default: a search for all.
         """
-        every_begin = repeat(None) if begin is None else begin
+        begin_of_each = repeat(None) if begin is None else begin
         shared = repeat(self.settings), repeat(self.budget)
-        return list(self.run(_one_pass_if_any, models, *shared, every_begin))
+        return list(self.run(_one_pass_if_any, models, *shared, begin_of_each))
 
 
 def one_pass(
     nominal: Model, settings: RatesSettings, budget: Budget, begin: Track | None = None
 ) -> PassFits:
-    """Return every motion of one pass under every model that may explain it, with evidence.
+    """Return the fits of all motions of one pass, under every model that may explain it, with their evidence.
 
-    `nominal`: the nominal model of the samples kept for the search. `begin`: motions of the same pass under a model that hardly
-    differs; the fit then begins from them, without a search.
+    `nominal`: that of the samples kept for the search. `begin`: motions under a similar model, which replace the first search.
     """
-    s, limit = settings, nominal.obs.cost_limit
-    # each pass has its own, as passes are estimated side by side
+    s, exact = settings, nominal
+    # each pass has its own budget, as passes are estimated side by side; symmetric solutions need more
     flat = s.search.flat_budget if len(images_of(nominal)) > 1 else 1.0
     budget = replace(budget, most=flat * budget.most)
 
-    def search_and_fit(
-        model: Model, noise: float, slowest: float = 0.0, inertia_held: bool = True
-    ) -> list[Fit]:
-        """Return the fits of the motions that a search of `model` under unknown torques of this strength leaves."""
-        tracks = search_motions(model, noise, s.search, budget, slowest, inertia_held)
-        return fit_tracks(nominal, tracks, noise, s)
-
-    # Search with the inertia held: all motions that the readings allow. Then the fit, with all unknowns free.
-    exact = nominal
+    # the search finds all motions that the readings allow, with the inertia held; in the fit all unknowns are free
     nominal, tracks = search_first(exact, begin, s.search, budget)
     fits = fit_tracks(nominal, tracks, s.search.noise, s)
+    fits = search_again(nominal, fits, s, budget)
+    if not any(map(len, fits)):
+        raise InputError(
+            "no motion has a well-defined probability",
+            got=f"{len(nominal.obs)} samples in the pass from {nominal.obs.t_s[0]:.0f} s",
+            do="add samples, or check their errors",
+        )
 
-    # First doubt: an inertia that is wrong looks like torques. If no motion fits, search as if strong ones acted. The most probable
-    # motion is asked, since under the strongest torques nearly everything fits.
+    # Motions that the search may lose, as it holds the inertia: bodies of another shape, then whole revolutions more or less of all
+    # that is found. This order, as a body without an inertia has its aliases only when its shape is known. `factor`: on a largest
+    # rate that nobody stated; for revolutions about two axes any body may exceed that, as they are few.
+    beyond = s.alternatives.beyond if _inertia_by_sun(nominal) and nominal.body.sphere else 1.0
+    for related, factor in (
+        (other_bodies, beyond),
+        (partial(aliases, s=s.alternatives), beyond),
+        (partial(aliases_about_two_axes, s=s.alternatives), s.alternatives.beyond),
+    ):
+        # of the three most probable motions: each has many
+        wider = replace(nominal, rate_sigma=factor * nominal.rate_sigma)
+        others = related(best_motions(fits, 3, s.search), wider)
+        budget.spend(len(others) * len(nominal.obs))
+        fits += ladder(nominal, others, s.ladder, s.search, s.ladder.strong)
+        fits = merge_fits(fits, s.ladder, s.search)
+
+    fits = with_alternatives(nominal, fits, s, budget)
+    # a stated strength of torques, a ladder of one rung, excludes an oscillation
+    fits_well = best_cost(fits) <= nominal.obs.cost_limit
+    if nominal.obs.only_sun and fits_well and len(s.ladder.rungs) > 1:
+        fits += fits_of_oscillation(nominal, fits, s.alternatives, s.ladder)
+
+    # all rungs are equally likely, until the passes of the file are compared (`evidence.share_noise`)
+    even = np.full(len(s.ladder.rungs), -np.log(len(s.ladder.rungs)))
+    return PassFits(exact, tuple(fits), s.ladder.rungs, even, budget.used, budget.cut)
+
+
+def search_again(nominal: Model, fits: list[Fit], s: RatesSettings, budget: Budget) -> list[Fit]:
+    """Return the fits of a pass after the further searches that three doubts about the first one call for.
+
+    `nominal`: with the errors of times that were rounded. `fits`: those after the first search, of the nominal model.
+    """
+
+    def search_and_fit(model: Model, noise: float, **options: Any) -> list[Fit]:
+        """Return the fits of the motions that a search of `model` under unknown torques of the strength `noise` leaves."""
+        tracks = search_motions(model, noise, s.search, budget, **options)
+        return fit_tracks(nominal, tracks, noise, s)
+
+    limit, inertia_by_sun = nominal.obs.cost_limit, _inertia_by_sun(nominal)
+    # First doubt: an inertia that is wrong looks like torques. If the most probable motion does not fit, search as if strong ones
+    # acted, once at most. Other motions do not count, since under the strongest torques nearly everything fits.
     under_strong_torques = cache(partial(search_and_fit, nominal, s.ladder.strong))
     if len(nominal.body.errors) and best_cost(fits) > limit:
         fits = min(fits, under_strong_torques(), key=best_cost)
-    inertia_by_sun = bool(len(nominal.body.errors) and nominal.obs.only_sun)
     # A long body that turns over its middle axis leaves any motion of the stated inertia, one sigma off, within a few turns.
     if inertia_by_sun and not nominal.body.sphere and best_cost(fits) > limit:
         free = search_and_fit(nominal, s.ladder.strong, inertia_held=False)
@@ -108,67 +146,36 @@ def one_pass(
     strained = any(map(len, fits)) and best_fit(fits).model.noise.acceleration >= s.ladder.strained
     if strained and inertia_by_sun:
         fits = merge_fits(fits + under_strong_torques(), s.ladder, s.search)
-    # Third: without an inertia a motion beyond a largest rate that nobody stated may fit as well. `wider`: the nominal model with a
-    # larger limit, only for search and aliases.
-    beyond = s.alternatives.beyond if inertia_by_sun and nominal.body.sphere else 1.0
-    wider = replace(nominal, rate_sigma=beyond * nominal.rate_sigma)
-    if beyond > 1 and is_fast(fits):
-        faster = search_and_fit(wider, s.search.noise, nominal.rate_max)
+    # Third: without an inertia a motion beyond a largest rate that nobody stated may fit as well.
+    may_be_faster = inertia_by_sun and nominal.body.sphere and s.alternatives.beyond > 1
+    if may_be_faster and is_fast(fits):
+        # a larger largest rate, for the search alone
+        wider = replace(nominal, rate_sigma=s.alternatives.beyond * nominal.rate_sigma)
+        faster = search_and_fit(wider, s.search.noise, slowest=nominal.rate_max)
         fits = merge_fits(fits + faster, s.ladder, s.search)
-    if not any(map(len, fits)):
-        raise InputError(
-            "no motion has a well-defined probability",
-            got=f"{len(nominal.obs)} samples in the pass from {nominal.obs.t_s[0]:.0f} s",
-            do="add samples, or check their errors",
-        )
+    return fits
 
-    # Motions that the search may lose, as it holds the inertia: bodies of another shape, then whole revolutions more or less of
-    # all that is found. This order, as a body without an inertia has its aliases only when its shape is known. Revolutions about
-    # two axes are also tried beyond a largest rate that nobody stated, whatever the body: they are few.
-    widest = replace(nominal, rate_sigma=s.alternatives.beyond * nominal.rate_sigma)
-    for related, model in (
-        (other_bodies, wider),
-        (partial(aliases, s=s.alternatives), wider),
-        (partial(aliases_about_two_axes, s=s.alternatives), widest),
-    ):
-        # of the three most probable motions: each has many
-        others = related(best_motions(fits, 3, s.search), model)
-        budget.spend(len(others) * len(nominal.obs))
-        fits += ladder(nominal, others, s.ladder, s.search, s.ladder.strong)
-        fits = merge_fits(fits, s.ladder, s.search)
 
-    fits = with_alternatives(nominal, fits, s, budget)
-    # a stated strength of torques, a ladder of one rung, says that the body does not swing
-    if nominal.obs.only_sun and best_cost(fits) <= limit and len(s.ladder.rungs) > 1:
-        fits += swings_by_all_ways(nominal, fits, s.alternatives, s.ladder)
-
-    # All rungs are equally likely, until the passes of the file are compared (`evidence.share_noise`).
-    even = np.full(len(s.ladder.rungs), -np.log(len(s.ladder.rungs)))
-    return PassFits(
-        nominal=exact,
-        fits=tuple(fits),
-        rungs=s.ladder.rungs,
-        log_rung=even,
-        used=budget.used,
-        cut=budget.cut,
-    )
+def _inertia_by_sun(nominal: Model) -> bool:
+    """Return whether the inertia is uncertain, and only the Sun shows whether a trial inertia is right."""
+    return bool(len(nominal.body.errors) and nominal.obs.only_sun)
 
 
 def search_first(
     nominal: Model, begin: Track | None, s: SearchSettings, budget: Budget
 ) -> tuple[Model, list[Track]]:
-    """Return the nominal model, with the errors of times that were rounded, and the motions that a first search leaves.
+    """Return the nominal model with the errors of rounded times, and the motions that a first search leaves.
 
-    How much the errors of the times change a reading is known once a motion is. Motions are searched again if that is much; else
-    the one search drops less. `begin`: motions that take the place of those of a search.
+    How much an error of a time changes a reading is known only with a motion. So a first search drops fewer motions, and is
+    repeated with the errors if they are large. `begin`: motions that replace those of the search.
     """
     rounded = nominal.obs.time_sigma_s > 0
     loose = replace(s, drop=s.drop * s.drop_if_rounded) if rounded else s
     searched = begin is None
     tracks = search_motions(nominal, s.noise, loose, budget) if searched else [begin]
     with_errors = with_time_errors(nominal, tracks, s.least_drift_rad)
-    turns_far = with_time_errors(nominal, tracks, s.large_drift_rad) is not nominal
-    if turns_far and searched:
+    errors_are_large = with_time_errors(nominal, tracks, s.large_drift_rad) is not nominal
+    if errors_are_large and searched:
         tracks = search_motions(with_errors, s.noise, s, budget)
     return with_errors, tracks
 
@@ -176,17 +183,18 @@ def search_first(
 def with_alternatives(
     nominal: Model, fits: list[Fit], settings: RatesSettings, budget: Budget
 ) -> list[Fit]:
-    """Return the fits of the nominal model and of all models of what else may have moved the body."""
+    """Return the fits of the nominal model, and those of the alternative models that are not hopeless."""
     fits, search = list(fits), settings.search
-    # the generator sees `fits` grow: a second step of the rate is added to the first
+    # the generator reads `fits` as they grow: a second step of the rate is added to the first
     for model in alternatives(nominal, fits, settings.alternatives):
         if budget.exhausted():
             break
         new = fits_of_alternative(model, fits, settings, budget)
-        if new and doubts_field(model):
-            # The search believed the magnetometer. If it is not calibrated the true motion may be lost, and an alias stands there.
-            of_nominal = best_fit([fitted for fitted in fits if fitted.model.what == AS_STATED])
-            gain = best_fit(new).log_evidence.max() - of_nominal.log_evidence.max()
+        # the model of a magnetometer that is not calibrated (`alternatives.another_zero`)
+        fields = [term for term in model.obs.terms if isinstance(term, FieldChange)]
+        if new and any(len(term.zero_shares) > 1 for term in fields):
+            # the search believed the magnetometer: the true motion may be lost, and an alias have taken its place
+            gain = best_fit(new).log_evidence[0] - best_nominal_fit(fits).log_evidence[0]
             if gain > settings.alternatives.doubted:
                 with suppress(InputError):  # nothing else may fit
                     tracks = search_motions(model, search.noise, search, budget)
@@ -196,21 +204,15 @@ def with_alternatives(
     return fits
 
 
-def doubts_field(model: Model) -> bool:
-    """Return whether a model takes a magnetometer whose zero the file does not state for one that is not calibrated."""
-    fields = [term for term in model.obs.terms if isinstance(term, FieldChange)]
-    return any(len(term.zero_shares) > 1 for term in fields)
-
-
 def with_time_errors(nominal: Model, tracks: Sequence[Track], least_drift_rad: float) -> Model:
     """Return the nominal model with the errors of the samples' times added to those of the readings.
 
-    A time error changes a reading by the rate times it. The rate is that of the motion of least cost in `tracks`, for all motions:
-    with errors of its own a fast alias would fit anything. The model is returned as it is if one sigma of time turns the body (or
-    the Sun in it, if only the Sun is read) by less than `least_drift_rad` at all samples.
+    A time error changes a reading by the rate times it. For all motions the rate is that of the motion of least cost in `tracks`:
+    if each had errors by its own rate, a fast alias would fit anything. The model is returned as it is if one sigma of time turns
+    the body (or the Sun in it, if only the Sun is read) by less than `least_drift_rad` at all samples.
 
-    Costs count residuals in sigmas, without the logs of the sigmas. So `log_prior` is lowered by what these logs grow. Estimates of
-    the pass with other wheels or columns, and so other errors, then stay comparable.
+    Costs count residuals in sigmas, without the logs of the sigmas. So `log_prior` is lowered by the growth of these logs.
+    Estimates of the pass with other wheels or columns, and so other errors, then stay comparable.
     """
     obs = nominal.obs
     best = [track.take(slice(0, 1)) for track in tracks if len(track)]
@@ -220,12 +222,12 @@ def with_time_errors(nominal: Model, tracks: Sequence[Track], least_drift_rad: f
     of_sun, of_body = obs.turned_in_time_sigma(motion)
     if max(of_sun.max(), 0.0 if obs.only_sun else of_body.max()) < least_drift_rad:
         return nominal
-    wider = obs.with_time_errors(motion)
+    with_errors = obs.with_time_errors(motion)
     log_growth = sum(
         after.log_errors() - before.log_errors()
-        for before, after in zip(obs.terms, wider.terms, strict=True)
+        for before, after in zip(obs.terms, with_errors.terms, strict=True)
     )
-    return replace(nominal, obs=wider, log_prior=nominal.log_prior - log_growth)
+    return replace(nominal, obs=with_errors, log_prior=nominal.log_prior - log_growth)
 
 
 def search_motions(
@@ -233,49 +235,49 @@ def search_motions(
     noise: float,
     s: SearchSettings,
     budget: Budget,
+    *,
     slowest: float = 0.0,
     inertia_held: bool = True,
 ) -> list[Track]:
-    """Return the motions that a search under unknown torques of strength `noise` leaves.
+    """Return the motions that a search under unknown torques of the strength `noise` (rad/s^1.5) leaves.
 
     There is a track for each model that is searched: several if readings may mean several things, as those of panels whose full
-    scale is in doubt (`Model.for_search`). No start is slower than `slowest`, rad/s. Without such a limit a search that leaves no
-    motion raises InputError. With one, slower motions were searched before, so that one pair of samples to start from is enough,
-    and the list may be empty. The inertia is held, or has its errors as unknowns while the window grows, which takes longer.
+    scale is in doubt (`Model.for_search`). `slowest` (rad/s): no start is slower. If it is zero and no motion is left, InputError
+    is raised. If not, slower motions were searched before: one pair of samples to start from is enough, and the list may be empty.
+    `inertia_held`: the errors of the inertia are no unknowns while the window grows; else the search takes longer.
     """
-    # Axes that follow the field turn in space, so that a right motion may cost more than the limit there, and would ask for further
-    # pairs of samples.
+    # In axes that follow the magnetic field, and turn in space, a true motion may exceed the cost limit: no further pairs then
     search_settings = s if leading_field(nominal) is None else replace(s, more_places=0)
     tracks = []
-    for loose in models_to_search(nominal, Noise(noise)):
-        starts, body = pair_starts(loose, s, slowest), loose.body
+    for model in models_to_search(nominal, Noise(noise)):
+        starts, body = pair_starts(model, s, slowest), model.body
         if not inertia_held:
             body = nominal.body
             starts = (
-                (window, replace(begin, u=np.zeros((len(begin), len(body.errors)))))
-                for window, begin in starts
+                (window, replace(motions, u=np.zeros((len(motions), len(body.errors)))))
+                for window, motions in starts
             )
-        chain = Chain(replace(loose, body=body), s)
+        chain = Chain(replace(model, body=body), s)
         try:
-            places = 1 if slowest else pairs_to_try(loose, s)
+            places = 1 if slowest else pairs_to_try(model, s)
             motions = search(chain, starts, search_settings, budget, places)
         except InputError:
             if not slowest:
                 raise
             continue
-        tracks.append(to_nominal_axes(nominal, loose, drop_faster(loose, motions, s), s))
+        tracks.append(to_nominal_axes(nominal, model, drop_faster(model, motions, s), s))
     return tracks
 
 
 def drop_faster(model: Model, motions: Track, s: SearchSettings) -> Track:
-    """Return motions without those that turn faster than the largest rate in the mean, if one that does not fits.
+    """Return motions without those whose mean speed exceeds the largest rate, if a slower one fits; else all.
 
-    A start at the largest rate may end beyond it: at even samples in an alias that no reading rules out.
+    A fit that begins at the largest rate may end beyond it. At even samples that may be an alias that no reading rules out.
     """
     speed = np.linalg.norm(motions.omega, axis=2).mean(axis=1)
     slow = np.flatnonzero(speed <= model.rate_max)
-    fits = motions.cost[slow].min(initial=np.inf) < s.good_enough * model.obs.cost_limit
-    return motions.take(slow) if fits else motions
+    slow_fits = motions.cost[slow].min(initial=np.inf) < s.good_enough * model.obs.cost_limit
+    return motions.take(slow) if slow_fits else motions
 
 
 def is_fast(fits: Sequence[Fit]) -> bool:
@@ -283,14 +285,14 @@ def is_fast(fits: Sequence[Fit]) -> bool:
     if not any(map(len, fits)):
         return False
     best = best_fit(fits)
-    speed = np.linalg.norm(best.motions.omega[best.log_evidence.argmax()], axis=1).mean()
+    speed = np.linalg.norm(best.motions.omega[0], axis=1).mean()
     return bool(speed * np.diff(best.model.obs.t_s).min() > np.pi)
 
 
 def fit_tracks(
     nominal: Model, tracks: Sequence[Track], noise: float, s: RatesSettings
 ) -> list[Fit]:
-    """Return fits of motions and their images under every strength of torques; `noise`, that of their search, comes first."""
+    """Return fits of motions of a search and their images under every strength of torques, first that of the search, `noise`."""
     fits = []
     for motions in tracks:
         begin = prepare_fit(nominal.under(noise), with_images(motions, nominal, s.search))
@@ -301,16 +303,16 @@ def fit_tracks(
 
 
 def begin_again(fits: Sequence[Fit], s: RatesSettings) -> list[Fit]:
-    """Return fits of the most probable motion with unknowns guessed again, if a fit that begins so ends at a lower cost; or none.
+    """Return fits of the most probable motion from new first guesses of its unknowns; none if they end at no lower cost.
 
-    The first guess of the Earth's light is made along motions of a search, which take Sun and Earth's light together for the Sun.
-    It may lead to a second minimum; along the fitted motion it is better. Without this a pass was decided 7 sigma off whose true
-    motion cost 11 less.
+    A first guess of the Earth's light is made along a motion (`Term.begin`). Motions of a search take the light of Sun and Earth
+    together for the Sun's, so that theirs may lead to a second minimum; the fitted motion gives a better guess. Without this a pass
+    was decided 7 sigma off whose true motion cost 11 less.
     """
     if not any(map(len, fits)):
         return []
     best = best_fit(fits)
-    motion = best.take(np.array([np.argmax(best.log_evidence)])).to_begin_from
+    motion = best.to_begin_from
     begin = prepare_fit(best.model, Track.free(motion.attitude, motion.omega))
     if not begin.u.any():  # no term guesses its unknowns
         return []
@@ -323,20 +325,20 @@ def begin_again(fits: Sequence[Fit], s: RatesSettings) -> list[Fit]:
 def fits_of_alternative(
     model: Model, fits: Sequence[Fit], s: RatesSettings, budget: Budget
 ) -> list[Fit]:
-    """Return fits of an alternative model, under the strengths of torques that are not hopeless next to the best of `fits`."""
-    most_probable = best_fit([fitted for fitted in fits if fitted.model.what == AS_STATED])
-    # The fit begins under the torques that the nominal model wants, so that the alternative can take their place. A stated strength
-    # may hold the motion too stiffly for that.
-    rung = most_probable.model.noise.acceleration
+    """Return fits of an alternative model, under each strength of torques that is not hopeless compared with the best of `fits`."""
+    of_nominal = best_nominal_fit(fits)
+    # The fit begins under the torques that the nominal model needs, so that the alternative can replace them. A single stated
+    # strength may be too weak for the motion to move in a fit.
+    rung = of_nominal.model.noise.acceleration
     if len(s.ladder.rungs) == 1:
         rung = max(rung, s.search.noise)
-    top = float(best_fit(fits).log_evidence.max())
-    begin = best_motions(fits, 5, s.search)  # the most probable ones
-    begin = rescale_unknowns(begin, most_probable.model, model.under(rung))
+    best = float(best_fit(fits).log_evidence[0])
+    begin = best_motions(fits, 5, s.search)  # the five most probable ones
+    begin = rescale_unknowns(begin, of_nominal.model, model.under(rung))
     ladder_settings = replace(s.ladder, hopeless=s.alternatives.hopeless)
-    new = ladder(model, begin, ladder_settings, s.search, rung, top)
+    new = ladder(model, begin, ladder_settings, s.search, rung, rival=best)
     budget.spend(sum(len(fitted) for fitted in new) * len(model.obs))
-    return [fitted for fitted in new if fitted.log_evidence.max() > top - ladder_settings.hopeless]
+    return [fitted for fitted in new if fitted.log_evidence.max() > best - s.alternatives.hopeless]
 
 
 def _one_pass_if_any(

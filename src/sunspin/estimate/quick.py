@@ -1,4 +1,4 @@
-"""How probable a pass is, by a quick search: to compare vehicles whose columns, axes or signs differ."""
+"""The evidence of a pass by a quick search, to compare vehicles whose columns, axes or signs differ."""
 
 from __future__ import annotations
 
@@ -18,46 +18,45 @@ from sunspin.estimate.starts import pair_starts
 from sunspin.estimate.terms.panels import Panels
 
 RUNGS = (1e-4, 5e-6)
-"""Strengths of unknown torques (rad/s^1.5) that are compared: the search's own, and a quiet one."""
+"""Strengths of unknown torques (rad/s^1.5) that are compared: that of the search, and a weak one."""
 
 MOTIONS = 8
-"""Motions of a search whose probabilities are summed, at most."""
+"""Motions whose evidence is summed, at most: the best ones of a search."""
 
 
 def quick_evidence(
     nominal: Model, settings: RatesSettings, budget: Budget, known: Track | None = None
 ) -> float:
-    """Return the log of the probability of a pass, up to a constant that depends only on the number of readings.
+    """Return the log evidence of a pass, up to a constant that depends only on the number of readings.
 
-    It is minus infinity if no motion is possible. Inertia and gains are those of the file, the search begins at one pair of
-    samples, and the better one of two strengths of torques counts. `known`: motions of the pass that a search has found already; no
-    search is made then.
+    It is minus infinity if the model allows no motion. To be quick, inertia and gains are held at the values of the file, the
+    search begins at one pair of samples, and the more probable one of two strengths of torques counts. `known`: motions (K) of the
+    pass from which the fits begin; then no search is made.
     """
     s = replace(settings.search, more_places=0)
-    few = replace(settings.ladder, rungs=RUNGS)
-    log = np.full(len(RUNGS), -np.inf)
-    for loose in nominal.for_search(Noise(s.noise)):
-        try:
-            motions = (
-                search(Chain(loose, s), pair_starts(loose, s), s, budget, 1)
-                if known is None
-                else Track.free(known.attitude, known.omega)
-            )
-        except InputError:
-            continue
-        for fitted in ladder(loose, motions.take(slice(MOTIONS)), few, s, s.noise):
+    ladder_settings = replace(settings.ladder, rungs=RUNGS)
+    log_evidence = np.full(len(RUNGS), -np.inf)
+    # several models if readings may mean several things
+    for model in nominal.for_search(Noise(s.noise)):
+        if known is None:
+            try:
+                motions = search(Chain(model, s), pair_starts(model, s), s, budget, 1)
+            except InputError:
+                continue
+        else:
+            motions = Track.free(known.attitude, known.omega)
+        for fitted in ladder(model, motions.take(slice(MOTIONS)), ladder_settings, s, s.noise):
             rung = RUNGS.index(fitted.model.noise.acceleration)
-            log[rung] = np.logaddexp(log[rung], logsumexp(fitted.log_evidence))
-    return float(log.max()) - sum(
-        log_size(term) for term in nominal.obs.terms if isinstance(term, Panels)
-    )
+            log_evidence[rung] = np.logaddexp(log_evidence[rung], logsumexp(fitted.log_evidence))
+    panels = (term for term in nominal.obs.terms if isinstance(term, Panels))
+    return float(log_evidence.max()) - sum(map(sum_of_log_sigmas, panels))
 
 
-def log_size(panels: Panels) -> float:
-    """Return the sum of the logs of all sigmas of readings and of brightness: the norm of their likelihood.
+def sum_of_log_sigmas(panels: Panels) -> float:
+    """Return the sum of the logs of all sigmas of readings and of brightness: the norm of their likelihood, which costs leave out.
 
-    The sigmas depend on the order of the columns, which the evidence is to compare. A reading that is left out counts with full Sun
-    as its sigma. Readings of panels without any signal do not count.
+    Since the sigmas depend on the order of the columns, evidence that compares such orders needs the norm. A reading that is left
+    out counts with full Sun as its sigma. Panels without any signal do not count.
     """
     sigma = np.where(np.isfinite(panels.sigma), panels.sigma, panels.full_sun)
     sigma = sigma[:, panels.ever_shown]

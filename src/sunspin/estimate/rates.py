@@ -1,4 +1,4 @@
-"""Body rates and attitude from what the Sun lights and what a gyro reads, sample by sample."""
+"""Body rates and attitude from telemetry of panels, Sun sensors, gyro and magnetometer: the whole estimate, pass by pass."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ from sunspin.estimate.observe import (
 from sunspin.estimate.one_pass import PassFitter
 from sunspin.estimate.orbit.calibration import FieldCalibration, calibrate_magnetometer
 from sunspin.estimate.periods import PeriodSeen, weigh_by_periods, without_periods
-from sunspin.estimate.quick import log_size
+from sunspin.estimate.quick import sum_of_log_sigmas
 from sunspin.estimate.rates_dataset import (
     latency_attributes,
     motion_dataset,
@@ -62,20 +62,20 @@ from sunspin.telemetry.assess import Assessment, assess
 from sunspin.vehicle import Vehicle
 
 NOISE_RANGE = (1e-9, 1.0)
-"""rad/s^1.5; the smallest lets a rate wander by 2e-5 deg/s in a day, the largest by a turn in 20 s: no satellite is outside."""
+"""Accepted strengths of unknown torques, rad/s^1.5: from 2e-5 deg/s in a day to a revolution in 20 s."""
 
-ALONG_Z = 1e-6
-"""The Sun of an environment is off z by less than this."""
+OFF_Z = 1e-6
+"""The Sun of an environment may be off the z axis by this, as a vector."""
 
 WIDE_RAD = 1.0
-"""A sample that allows directions to the Sun so far apart leaves its direction open."""
+"""A sample determines the direction to the Sun if all directions that it allows are nearer to each other than this."""
 
-UNSEEN_RAD = 0.05
-"""Torques that turn a body by more between the closest two samples may stand for a nutation, its moments being unknown."""
+NUTATION_RAD = 0.05
+"""If the torques turn a body of unknown inertia by more between the closest two samples, they may stand for a nutation."""
 
 
 class PassBar(tqdm):
-    """A progress bar without a thread that watches it: a process with a second thread is not copied for workers."""
+    """A progress bar without a monitoring thread: a process with a second thread cannot safely be copied for workers."""
 
     monitor_interval = 0
 
@@ -101,8 +101,8 @@ def rates(
 ) -> xr.Dataset:
     """Estimate body rates and attitude of every pass of a telemetry file: all solutions that the data cannot tell apart.
 
-    Every turn, and every number of turns up to the largest rate, that takes the Sun from one sample to the next is a start; starts
-    grow over the pass and are fitted with the equations of motion, under torques of every strength.
+    The search starts with all rotations up to the largest rate that take the Sun from one sample to the next. The motions that fit
+    the whole pass are fitted with the equations of motion, under unknown torques of every strength.
 
     Parameters
     ----------
@@ -111,7 +111,7 @@ def rates(
     source : {"panels", "sun_sensor", "directions"}, optional
         Where the Sun comes from; default: what the telemetry has.
     max_rate_rad_s : float, optional
-        No rate is faster; default: the vehicle's, else one and a half turns in the shorter intervals, at most 1 rad/s. If neither
+        Largest rate; default: the vehicle's, else one and a half turns in the shorter intervals, at most 1 rad/s. If neither
         states it, no inertia is known and only the Sun is measured, a fast body is searched up to twice that.
     acceleration_noise : float, optional
         Strength of unknown torques, rad/s^1.5; default: the vehicle's, else every strength is tried.
@@ -136,7 +136,7 @@ def rates(
         (:mod:`sunspin.estimate.column_tests`), and name what fits; this takes up to minutes. So too if panels alone fit, but their
         samples, each by itself, fit other columns far better, or as well.
     effort : float
-        How much may be computed; one is usual. If it does not suffice the best so far is kept, and the pass is not decided.
+        Computing budget of each pass; one is usual. If it does not suffice the best so far is kept, and the pass is not decided.
     workers : int
         Processes that estimate passes side by side; the result does not depend on it. A script that asks for more than one needs
         `if __name__ == "__main__":`.
@@ -150,9 +150,9 @@ def rates(
     xarray.Dataset
         On `time` (all samples used) of each pass's best solution: `omega_B` (rad/s), `omega_cov_B`, `sun_B`, `sun_sigma_rad`,
         `B_from_N` (quaternion, scalar last; N is local to the pass, z to the Sun, the turn about z arbitrary; in an orbit with a
-        magnetometer J2000), `turn_sigma_rad` (of the turn about the Sun, in an orbit), `pass_of`. On
-        `curve_time` the same between the samples. On `pass_id` and `solution`: probabilities, mean rates, and what may be believed:
-        the variables of `passes.csv`. On `sample`: `why`, what became of each sample of the file. attrs: `verdict`, the settings.
+        magnetometer J2000), `turn_sigma_rad` (of the turn about the Sun, in an orbit), `pass_of`. On `curve_time` the same between
+        the samples. On `pass_id` and `solution`: probabilities, mean rates and the checks, as in `passes.csv`. On `sample`: `why`,
+        whether each sample of the file was used. attrs: `verdict`, the settings.
 
     Raises
     ------
@@ -161,7 +161,7 @@ def rates(
     MotionError
         A torque without the environment that it needs.
     """
-    # What the file shows: all samples, why each is used or not, and the passes that they form.
+    # the readings of all samples, why each is used or not, and the passes that they form
     assessment = assess(vehicle, telemetry)
     local = along_the_sun(environment)  # axes N with z to the Sun
     calibration = calibrate_magnetometer(local, assessment) if calibration is None else calibration
@@ -171,8 +171,8 @@ def rates(
     readings = with_unused_samples(readings, every_pass, passes)
     kept = sum(len(a_pass.kept) for a_pass in passes)
 
-    # the same estimate of another vehicle or another file, as one pass: to try other columns
-    again = partial(
+    # the same estimate for another vehicle or another file, as one pass: to try other columns
+    estimate_again = partial(
         rates,
         source=None if readings.source == "directions" else readings.source,
         max_rate_rad_s=max_rate_rad_s,
@@ -184,7 +184,7 @@ def rates(
         settings=settings,
     )
 
-    # What is known before the data: the nominal model of the whole file.
+    # what is known before the data: the nominal model of the whole file
     noise = stated_noise(vehicle, acceleration_noise, readings.dipole_modelled)
     rate_max, beyond = largest_rate(vehicle, max_rate_rad_s, readings.obs.t_s, passes, settings)
     if noise is not None:  # a stated strength is a ladder of one rung
@@ -198,20 +198,20 @@ def rates(
         thin = f", thinned to {kept} for the search" if kept < used else ""
         progress(f"{used} samples used in {count_of_passes(len(passes))}{thin}")
 
-    # The fits of each pass, side by side. First those of the longest passes, which show what the wheels do.
+    # the fits of all passes; `tasks`: reversed wheels, and passes or models of wheels, that may be computed side by side
     require_directions(nominal, passes)
-    tasks = len(wheel_changes(vehicle))  # a search of each
+    tasks = len(wheel_changes(vehicle))
     tasks += max(len(passes), len(wheel_models(vehicle, assessment.telemetry)))
     if (processes := min(worker_count(workers), tasks)) > 1:
         load_step()
     with process_pool(processes) as pool:
         fitter = PassFitter(settings, budget, map if pool is None else pool.map)
-        fitted = fit_passes(assessment, nominal, passes, fitter, progress is True)
+        fitted = fit_passes(assessment, nominal, passes, fitter, show_bar=progress is True)
 
-    # The solutions of each pass, which the other passes and observed periods help to tell apart.
+    # the solutions of each pass; other passes and observed periods change their probabilities
     fits, solved, pass_attrs = solve_passes(fitted, passes, periods, settings)
 
-    # The result, and what may be believed of it.
+    # the result and its checks
     nominal = fitted.nominal.under(common_noise(fits))
     result = motion_dataset(assessment, readings, passes, solved, nominal, noise is not None)
     left_open, counts = left_open_by_search(result, fits, solved, effort, settings)
@@ -232,16 +232,16 @@ def rates(
             "symmetric_unlisted": 0,
         }
     )
-    again_if_asked = again if column_tests else None
-    result = check_columns(result, assessment, fitted.doubt, again_if_asked, settings, budget)
+    trial_estimate = estimate_again if column_tests else None
+    result = check_columns(result, assessment, fitted.doubt, trial_estimate, settings, budget)
     return with_units(result.assign_attrs(verdict=rates_words(result)))
 
 
 class FittedPasses(NamedTuple):
-    """The passes of a file as they were fitted.
+    """The fits of all passes of a file.
 
-    `nominal`: the nominal model of the whole file with the momentum that the wheels have, and `wheels`: what they do, in words.
-    `fits`: of each pass. `doubt`: wheels that may turn the other way, None if none may.
+    `nominal`: the nominal model of the whole file, with the momentum of the wheels; `wheels`: what these do, in words. `fits`: of
+    each pass. `doubt`: wheels that may turn the other way, None if there are none.
     """
 
     nominal: Model
@@ -255,22 +255,23 @@ def fit_passes(
     nominal: Model,
     passes: Sequence[Pass],
     fitter: PassFitter,
+    *,
     show_bar: bool,
 ) -> FittedPasses:
-    """Return the fits of each pass, made side by side: first those of the longest passes, which show what the wheels do.
+    """Fit all passes, the longest first, since their fits decide what the wheels do.
 
-    `nominal`: nominal model of the whole file, with any momentum of the wheels; `show_bar`: a bar of passes in the terminal.
+    `nominal`: nominal model of the whole file, with any momentum of the wheels. `show_bar`: show a progress bar in the terminal.
     """
-    first = passes[longest_passes(passes)[0]]
-    # While the wheels are decided, other processes may search for reversed ones that do what the wheels probably do: they
-    # coast, the second model, if the vehicle file states a friction; else the only one
+    longest = passes[longest_passes(passes)[0]]
+    # While the wheels are decided, other processes may search with reversed ones. They assume the model that the wheels probably
+    # have: they coast, the second model, if the vehicle file states a friction; else it is the only one.
     probable = list(wheel_models(assessment.vehicle, assessment.telemetry))[:2][-1]
-    searches = search_reversed(assessment, probable, nominal, first, fitter)
+    searches = search_reversed(assessment, probable, nominal, longest, fitter)
     wheels = decide_wheels(assessment, nominal, passes, fitter)
     if wheels.name != probable:
-        searches = search_reversed(assessment, wheels.name, nominal, first, fitter)
+        searches = search_reversed(assessment, wheels.name, nominal, longest, fitter)
     nominal = nominal.with_momentum(wheels.momentum)
-    # the longest passes were perhaps fitted to decide the wheels
+    # the longest passes have their fits already if there were several models of the wheels
     unfitted = [k for k in range(len(passes)) if k not in wheels.fits]
     new_fits = fitter.fits([model_of_kept(nominal, passes[k]) for k in unfitted])
     if show_bar:
@@ -288,17 +289,16 @@ def solve_passes(
     periods: Sequence[PeriodSeen],
     settings: RatesSettings,
 ) -> tuple[list[PassFits], list[Solutions], dict[str, Any]]:
-    """Return fits and solutions of each pass with what other passes and `periods` say of them, and attributes on that.
+    """Return fits and solutions of each pass, their probabilities by all passes and observed `periods`, and attributes on these.
 
-    Passes help each other: the same torques act in all of them, and from one to the next a rate changes only so much.
+    Passes determine each other's probabilities: the same torques act in all, and a rate changes little from one to the next.
     """
     obs, body = fitted.nominal.obs, fitted.nominal.body
     fits = share_noise(fitted.fits, settings.ladder)
     solved = []
     for pass_fits, a_pass in zip(fits, passes, strict=True):
-        all_samples = obs.of_pass(a_pass.samples)
-        kept = a_pass.kept_in_pass
-        solved.append(solutions(pass_fits, all_samples, kept, settings.solutions, settings.search))
+        whole, kept = obs.of_pass(a_pass.samples), a_pass.kept_in_pass
+        solved.append(solutions(pass_fits, whole, kept, settings.solutions, settings.search))
     numbers = [a_pass.number for a_pass in passes]
     solved, period_attrs = weigh_by_periods(solved, body, periods, numbers)
     middle_s = [float(obs.t_s[a_pass.samples].mean()) for a_pass in passes]
@@ -311,12 +311,12 @@ def solve_passes(
 
 
 def along_the_sun(environment: Environment | None) -> Environment | None:
-    """Return the environment in axes whose z is the direction to the Sun."""
+    """Return the environment in axes N whose z is the direction to the Sun; raise InputError if it has other axes and no orbit."""
     if isinstance(environment, Orbit):
         return SunAlongZ(environment)
     if environment is not None and not isinstance(environment, SunAlongZ):
         sun = environment.at(0.0).sun_N[0]
-        if np.linalg.norm(sun - SUN_N) > ALONG_Z:
+        if np.linalg.norm(sun - SUN_N) > OFF_Z:
             raise InputError(
                 "rates needs an environment with z of its N to the Sun",
                 got=f"the Sun at {np.round(sun, 3)}",
@@ -327,9 +327,9 @@ def along_the_sun(environment: Environment | None) -> Environment | None:
 def stated_noise(
     vehicle: Vehicle, given: float | None, dipole_modelled: bool = False
 ) -> float | None:
-    """Return the strength of unknown torques (rad/s^1.5) that is given, else the vehicle's; None if neither states it.
+    """Return the strength of unknown torques (rad/s^1.5): the `given` one, else the vehicle's; None if neither states it.
 
-    The torque of a magnetic dipole is modelled only in a measured field: else the vehicle file has another strength.
+    A file with a magnetic dipole states another one for the case that no field is measured, so that the dipole is not modelled.
     """
     disturbance = vehicle.sensors.disturbance
     stated = (
@@ -355,15 +355,15 @@ def largest_rate(
 ) -> tuple[float, float]:
     """Return the largest rate (rad/s) of the search, and by which factor a body may exceed it (`AlternativeSettings.beyond`).
 
-    The rate is the given one, else the vehicle's, else so many revolutions in the shorter intervals between samples (`t_s` of the
-    file, s). Whoever states it knows that no body is faster: the factor is then one.
+    The rate is the `given` one, else the vehicle's: then the factor is one. Else it is :data:`LARGEST_TURNS` revolutions in the
+    shorter intervals between kept samples, but not above :data:`LARGEST_RATE`. `t_s` (n): times of all samples of the file.
     """
     given = vehicle.sensors.disturbance.max_rate_rad_s if given is None else given
     if given is not None:
         if not (np.isfinite(given) and given > 0):
             raise InputError("max_rate_rad_s must be positive", got=given)
         return float(given), 1.0
-    # the mean of the shortest eighth of the intervals of each pass
+    # the mean of the shortest eighth of the intervals of each pass, two at least
     shorter = [
         np.sort(np.diff(t_s[a_pass.kept]))[: max(2, len(a_pass.kept) // 8)].mean()
         for a_pass in passes
@@ -373,14 +373,14 @@ def largest_rate(
 
 
 def require_directions(nominal: Model, passes: Sequence[Pass]) -> None:
-    """Raise `InputError` if rows hold readings of some panels only, and no two neighbours determine the direction of the Sun.
+    """Raise InputError if each row has readings of some panels only, and no two neighbours determine the direction to the Sun.
 
-    Packets of panels that come one after the other make such rows. If another sensor was read, directions may be missing.
-    `nominal`: the nominal model of the whole file.
+    Such rows arise if each panel has packets of its own. If another sensor is read, directions may be missing.
     """
     panels = [term for term in nominal.obs.terms if isinstance(term, Panels)]
     if not panels or not nominal.obs.only_sun:
         return
+    # the most panels that are read in a row, and those that are used at all
     read = int(np.isfinite(panels[0].sigma).sum(axis=1).max())
     count = panels[0].sigma.shape[1] - len(panels[0].left_out)
     if read >= count:
@@ -388,14 +388,14 @@ def require_directions(nominal: Model, passes: Sequence[Pass]) -> None:
     for a_pass in passes:
         of_pass = replace(nominal, obs=nominal.obs.of_pass(a_pass.kept))
         model = of_pass.for_search(nominal.noise)[0]
-        was_known = False  # the direction of the Sun at the sample before
+        known_before = False  # the direction at the sample before
         for sample in range(len(a_pass.kept)):
             allowed = allowed_directions(model, sample)
-            # the smallest cosine between any two directions that the sample allows
+            # by the largest angle between any two directions that the sample allows
             is_known = bool((allowed @ allowed.T).min() > np.cos(WIDE_RAD))
-            if was_known and is_known:
+            if known_before and is_known:
                 return
-            was_known = is_known
+            known_before = is_known
     raise InputError(
         "too few Sun directions to estimate a rate",
         got=f"rows with readings of {read} of {count} panels at most",
@@ -404,28 +404,29 @@ def require_directions(nominal: Model, passes: Sequence[Pass]) -> None:
 
 
 def common_noise(fits: Sequence[PassFits]) -> float:
-    """Return the most probable strength of unknown torques (rad/s^1.5) if it is the same in all passes."""
-    log = np.array([pass_fits.log_evidence_of_rungs() for pass_fits in fits])  # (pass, rung)
-    total = log.sum(axis=0)
+    """Return the most probable strength of unknown torques (rad/s^1.5), assuming that it is the same in all passes."""
+    # (pass, rung)
+    log_evidence = np.array([pass_fits.log_evidence_of_rungs() for pass_fits in fits])
+    total = log_evidence.sum(axis=0)
     if not np.isfinite(total).any():
-        # each rung is without a fit in some pass: the one with the fewest such passes
-        total = np.maximum(log, -1e6).sum(axis=0)
+        # every strength is without a fit in some pass: the one with the fewest such passes
+        total = np.maximum(log_evidence, -1e6).sum(axis=0)
     return fits[0].rungs[int(np.argmax(total))]
 
 
 def log_evidence_of_passes(
     assessment: Assessment, fitted: FittedPasses, passes: Sequence[Pass]
 ) -> list[float]:
-    """Return the log of the probability of each pass's readings, all motions and strengths of torques summed.
+    """Return the log evidence of each pass, summed over motions, models and strengths of torques, which are equally likely.
 
-    Up to a constant that depends only on the number of readings, so that it compares files whose columns are exchanged.
+    It is up to a constant that depends only on the number of readings, so that it compares files whose columns are exchanged.
     """
     log = []
     for pass_fits, a_pass in zip(fitted.fits, passes, strict=True):
-        terms = [term for term in pass_fits.nominal.obs.terms if isinstance(term, Panels)]
-        silent = cost_of_silent_panels(assessment, a_pass.kept) if terms else 0.0
+        panels = [term for term in pass_fits.nominal.obs.terms if isinstance(term, Panels)]
+        silent = cost_of_silent_panels(assessment, a_pass.kept) if panels else 0.0
         evidence = logsumexp(pass_fits.log_evidence_of_rungs()) - np.log(len(pass_fits.rungs))
-        log.append(float(evidence - sum(log_size(term) for term in terms) - silent))
+        log.append(float(evidence - sum(map(sum_of_log_sigmas, panels)) - silent))
     return log
 
 
@@ -436,43 +437,41 @@ def left_open_by_search(
     effort: float,
     settings: RatesSettings,
 ) -> tuple[list[str], dict[str, float]]:
-    """Return what the search of each pass may have left out and what would help, in words; and attributes that count such passes.
+    """Return why the search of each pass may be incomplete and what would help, in words; and attributes that count such passes.
 
-    The search was cut short; its starts were too coarse for the largest rate; the speed of a wheel is unknown; the gains are,
-    and no other sensor gives the rate. Or it took a body without an inertia for a sphere, but the data want torques that hardly any
-    satellite has. Torques that turn the body far between two samples are doubted too, as a nutation does that.
-
-    `result`: its attributes name wheels of unknown speed and panels of unknown gain.
+    The search was cut short; its starts were too coarse for the largest rate; the speed of a wheel is unknown; gains are, and only
+    the Sun is measured; or it took a body without an inertia for a sphere, but the torques are stronger than those of nearly any
+    satellite, or turn the body far between two samples, as a nutation does. `result`: names wheels and panels with unknown values.
     """
     wheels, gains = result.attrs["wheels_untold"], result.attrs["gains_unknown"]
-    strength_free = len(settings.ladder.rungs) > 1  # a stated strength of torques is the only rung
+    strength_estimated = len(settings.ladder.rungs) > 1  # a stated one is the only rung
     fine = [fine_up_to(pass_fits.nominal, settings.search) for pass_fits in fits]
     words, no_sphere = [], 0
     for pass_fits, of_pass, limit in zip(fits, solved, fine, strict=True):
         model = pass_fits.nominal
-        # torques of the strength q turn a body by q T^1.5 / sqrt(3) over the shortest interval T
+        # torques of the strength q turn a body by q sqrt(T^3 / 3) over the shortest interval T
         shortest_s = float(np.diff(model.obs.t_s).min())
-        far = of_pass.noise[0] * np.sqrt(shortest_s**3 / 3) > UNSEEN_RAD
+        far = of_pass.noise[0] * np.sqrt(shortest_s**3 / 3) > NUTATION_RAD
         strong = of_pass.noise[0] >= settings.ladder.strong
-        parts = []
+        reasons = []
         if pass_fits.cut:
-            parts.append(f"budget reached: {more_effort(effort)}")
+            reasons.append(f"budget reached: {more_effort(effort)}")
         if np.isfinite(limit):
-            parts.append(f"coarse: {slower(limit)}")
-        if strength_free and model.body.sphere and (far or strong):
+            reasons.append(f"coarse: {slower(limit)}")
+        if strength_estimated and model.body.sphere and (far or strong):
             no_sphere += 1
-            parts.append(
+            reasons.append(
                 "torques too strong for a satellite, or the body is no sphere: give its inertia"
             )
         if wheels:
-            parts.append(
+            reasons.append(
                 f"the speed of wheel {wheels} is unknown: give speed_rad_s or a speed_column"
             )
         if gains and model.obs.only_sun:
-            parts.append(
+            reasons.append(
                 f"the gain of panel {gains} is not known: give cells, gain_W, gain_A, or a sigma"
             )
-        words.append("; ".join(parts))
+        words.append("; ".join(reasons))
     coarse = [limit for limit in fine if np.isfinite(limit)]
     return words, {
         "effort_given": effort,

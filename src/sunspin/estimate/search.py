@@ -1,10 +1,10 @@
-"""The search for all motions that the readings of a stretch allow.
+"""The search for all motions that the readings of a pass allow.
 
-Between two samples the body may turn whole turns more, or about another axis, so that the posterior density has many maxima. A
-search begins where few starts are enough, with neighbouring samples. Candidates are fitted to them, those that the readings rule
-out fall, and the window grows, by one sample at each end or more. A rate that is known from a window predicts the phase one window
-further, so that a candidate stays near its minimum. Where a window leaves a direction of the rate nearly free, further candidates
-stand along it (`Chain.widened`), and the search begins at several pairs of samples.
+Between two samples the body may make more whole revolutions, or rotate about another axis, so the posterior density has many
+maxima. A search begins with two neighbouring samples, for which few starts suffice. These trial solutions are fitted, those that
+the readings rule out are dropped, and the window of samples grows at both ends. A rate that is known from a window predicts the
+phase one window further, so a trial solution stays near its maximum. If a window hardly determines a direction of the rate, further
+ones are placed along it (`Chain.widened`). The search is repeated from several pairs of samples.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from sunspin.estimate.settings import SearchSettings
 
 
 class Carrier(Protocol):
-    """How motions are fitted, compared and carried on; windows are slices of the samples at `t_s` (n)."""
+    """How a search fits, compares and propagates motions of its own type; windows are slices of the samples at `t_s` (n), s."""
 
     t_s: np.ndarray
 
@@ -28,13 +28,13 @@ class Carrier(Protocol):
         """Return motions fitted to the samples of a window."""
 
     def kept(self, motions: Any, window: slice) -> Any:
-        """Return motions without copies and improbable ones, best first."""
+        """Return motions fitted to a window without copies and improbable ones, the best first."""
 
     def widened(self, motions: Any, window: slice, wider: slice) -> Any:
-        """Return motions of a window at the samples of a wider one, with further ones that the window leaves open."""
+        """Return the motions of a window at the samples of a wider one, and further ones that the window also allows."""
 
     def joined(self, motions: list[Any]) -> Any:
-        """Return the motions of several searches."""
+        """Return the motions of several parts as one object."""
 
     def cost_limit(self, window: slice) -> float:
         """Return the cost that a true motion does not exceed in a window."""
@@ -47,16 +47,15 @@ def search(
     budget: Budget,
     places: int | None = None,
 ) -> Any:
-    """Return all motions that the readings allow, best first.
+    """Return all motions that the readings allow, the best first.
 
-    `starts`: windows with candidate motions, the most promising place first. Windows grow from each of the first `places` (default:
-    that of the settings) to the whole stretch; from up to `s.more_places` more if no motion fits.
+    `starts`: windows with the motions from which a search begins there, the most promising window first. From each of the first
+    `places` (default: that of the settings) the window grows to all samples; from up to `s.more_places` more if no motion fits.
     """
-    ends: list[Any] = []  # of each place the motions that reached the whole stretch
+    ends: list[Any] = []  # motions that reached all samples, for each place that led so far
     everything = slice(0, len(carrier.t_s))
     places = s.places if places is None else places
-    for number, (first, candidates) in enumerate(starts):
-        window, motions = first, candidates
+    for number, (window, motions) in enumerate(starts):
         while len(motions):
             motions = carrier.kept(carrier.fit(motions, window), window)
             budget.spend(len(motions) * (window.stop - window.start))
@@ -70,10 +69,10 @@ def search(
             motions, window = carrier.widened(motions, window, wider), wider
         best = min((float(motions.cost[0]) for motions in ends), default=np.inf)
         fits = best < s.good_enough * carrier.cost_limit(everything)
-        # enough places have led to the end and one motion fits, or the last place that is allowed was tried
+        # end if enough places have led to all samples and a motion fits, or if this was the last place that is allowed
         if (len(ends) >= places and fits) or number + 1 == places + s.more_places:
             break
-        if ends and budget.exhausted():  # never before there is any motion
+        if ends and budget.exhausted():  # not before there is a motion
             break
     if not ends:
         raise InputError(
@@ -84,9 +83,9 @@ def search(
 
 
 def grown(t_s: np.ndarray, window: slice, growth: float) -> slice:
-    """Return the window enlarged by the factor `growth`: half of the new samples at either end, and one there at least.
+    """Return the window enlarged by the factor `growth`: half of the new samples at either end, at least one.
 
-    At an end of the stretch it grows on the other side alone.
+    At the first and last of all samples, at times `t_s` (n), it grows on the other side alone.
     """
     added = max(1, int((growth - 1) / 2 * (window.stop - window.start)))
     return slice(max(0, window.start - added), min(len(t_s), window.stop + added))

@@ -1,11 +1,10 @@
-"""The rate against time in short windows of passes that no free body explains: what an operator gets of a controlled satellite.
+"""The rate in short windows of passes that no free body explains, as those of a controlled satellite.
 
-Thrusters, and wheels whose speeds were not read, change the rate as no free body's does. Over a few samples the change is small,
-and the method of :func:`sunspin.estimate.rates.rates` fits: windows are passes.
+Thrusters, and wheels whose speeds were not read, change the rate in another way than any free body. Over a few samples the change
+is small, so each window is estimated as a pass by :func:`sunspin.estimate.rates.rates`.
 
-The angular momentum of a free body has the same size in all windows. With the inertia J and the momentum h of wheels whose speeds
-are known it is |J omega + h|. Something acts on the body if no motion fits the whole pass, most windows fit, and the sizes in two
-of them differ beyond their errors.
+The angular momentum of a free body, J omega + h with the inertia J and the momentum h of wheels of known speed, has the same size
+in all windows. A torque acts if no motion fits the whole pass, most windows fit, and two sizes differ beyond their errors.
 """
 
 from __future__ import annotations
@@ -23,20 +22,20 @@ from sunspin.estimate.rates import rates
 from sunspin.estimate.settings import RATES, RatesSettings
 from sunspin.vehicle import Vehicle
 
-SAMPLES = 7
+WINDOW_SAMPLES = 7
 """Samples of a window, about. Passes of up to six samples are also tried without each of them, which takes four times as long."""
 
 MOST_WINDOWS = 40
 """Windows of a file, at most: longer passes have longer windows. Each takes a second or two."""
 
 FEWEST_WINDOWS = 3
-"""Fewest windows of a pass that fit with a single solution, for anything to be said of how its rate changes."""
+"""Windows with a single solution that fits, at least, for a conclusion about a pass."""
 
-MOST_FIT = 0.75
-"""Share of the windows of a pass that fit. Where fewer do, the readings are at fault, or the rate changes within a window."""
+LEAST_FITTING = 0.75
+"""Share of the windows of a pass that must fit. If fewer do, readings are wrong, or the rate changes within a window."""
 
-SIGMAS = 4.0
-"""Sigmas by which the sizes of the momentum in two windows differ, for the rate to change as no free body's does."""
+SIGMAS_APART = 4.0
+"""Sigmas by which the sizes of the momentum in two windows must differ, for a rate that changes as no free body's does."""
 
 
 def rates_in_windows(
@@ -46,12 +45,12 @@ def rates_in_windows(
     settings: RatesSettings = RATES,
     **options: Any,
 ) -> xr.Dataset:
-    """Return the result of `rates` with the rate in short windows of each pass that does not fit, and what they say of control.
+    """Return the result of `rates` with the rate in short windows of each pass that does not fit, and whether control explains it.
 
     Parameters
     ----------
     telemetry : Dataset
-        That of which `result` was estimated.
+        The telemetry from which `result` was estimated.
     result : Dataset
         Of :func:`sunspin.estimate.rates.rates`; it is returned as it is if all passes fit, or if columns of the file are doubted:
         each window may fit with wrong columns.
@@ -65,20 +64,21 @@ def rates_in_windows(
         `window_pass` and `window_samples`. `window_omega_B` and `window_sigma_B` (rad/s) are those of the most probable solution
         there. `window_decided` and `window_why` say whether it is decided, or why not.
         attrs["controlled"] has a line for each pass whose rate changes as no free body's does; `why_not_decided` of the pass and
-        attrs["verdict"] say so too.
+        attrs["verdict"] repeat it.
     """
     failed = np.flatnonzero(~result["fits"].values)
     if "columns_doubt" in result.attrs:
         return result
+    counts = [int((result["pass_of"].values == k).sum()) for k in failed]  # of samples
     parts, sentences = [], {}
-    share = [int((result["pass_of"].values == k).sum()) for k in failed]
-    for k, count in zip(failed, share, strict=True):
-        most = max(FEWEST_WINDOWS, int(MOST_WINDOWS * count / sum(share)))
-        pieces = min(round(count / SAMPLES), most)
-        if pieces < FEWEST_WINDOWS:
+    for k, count in zip(failed, counts, strict=True):
+        # the passes share the windows of a file by their samples
+        most = max(FEWEST_WINDOWS, int(MOST_WINDOWS * count / sum(counts)))
+        number = min(round(count / WINDOW_SAMPLES), most)
+        if number < FEWEST_WINDOWS:
             continue
         t_s = result["time"].values[result["pass_of"].values == k]
-        part = _windows_of(vehicle, telemetry, t_s, pieces, settings, options)
+        part = _windows_of(vehicle, telemetry, t_s, number, settings, options)
         if part is None:
             continue
         part["window_pass"] = "window", np.full(part.sizes["window"], result["pass_id"].values[k])
@@ -105,23 +105,26 @@ def _windows_of(
     vehicle: Vehicle,
     telemetry: xr.Dataset,
     t_s: np.ndarray,
-    pieces: int,
+    number: int,
     settings: RatesSettings,
     options: dict[str, Any],
 ) -> xr.Dataset | None:
-    """Return variables on `window` of a pass with samples at times t_s (n), cut evenly; None if no window has a motion."""
+    """Return estimates of a pass with samples at times `t_s` (n), s, cut into `number` windows; None if no window has a motion.
+
+    The windows are equally long. The variables, on `window`, are those of :func:`rates_in_windows`. `options`: of `rates`.
+    """
     time = telemetry["time"].values
     inside = (time >= t_s[0]) & (time <= t_s[-1])
-    # a hair more than the even length, which rounding might cut once more
-    longest = float(t_s[-1] - t_s[0]) / pieces * (1 + 1e-9)
-    of_windows = replace(settings.passes, longest_s=longest, longest_field_s=longest)
+    # `rates` cuts passes that are longer; a little is added, since rounding might make one window more
+    longest_s = float(t_s[-1] - t_s[0]) / number * (1 + 1e-9)
+    pass_settings = replace(settings.passes, longest_s=longest_s, longest_field_s=longest_s)
     try:
         result = rates(
             vehicle,
             take_samples(telemetry, np.flatnonzero(inside)),
             gap_s=float(t_s[-1] - t_s[0]) + 1.0,
             column_tests=False,
-            settings=replace(settings, passes=of_windows),
+            settings=replace(settings, passes=pass_settings),
             **options,
         )
     except InputError:
@@ -149,31 +152,34 @@ def _windows_of(
 
 
 def _as_no_free_body(vehicle: Vehicle, telemetry: xr.Dataset, windows: xr.Dataset) -> str:
-    """Return in words that the rate changes as no free body's does; empty if a free body may do so, or the windows do not say."""
+    """Return in words that the rate changes as no free body's does; empty if the windows do not show it.
+
+    `windows`: of one pass. The sizes of the angular momentum are compared between all windows with a single solution that fits.
+    """
     fits, sigma = windows["window_fits"].values, windows["window_sigma_B"].values
     use = np.flatnonzero(fits & windows["window_unique"].values & np.isfinite(sigma).all(axis=1))
-    if len(use) < FEWEST_WINDOWS or fits.mean() < MOST_FIT:
+    if len(use) < FEWEST_WINDOWS or fits.mean() < LEAST_FITTING:
         return ""
     body, omega = Body.of(vehicle), windows["window_omega_B"].values[use]
     times = windows["window_time"].values[use]
     # rows that came late need not be in the order of time
-    at = np.abs(telemetry["time"].values - times[:, None]).argmin(axis=1)
-    extremes = None
-    # wheels without a measured speed may be held or coast: none of that may explain the change
+    nearest_row = np.abs(telemetry["time"].values - times[:, None]).argmin(axis=1)
+    fast = slow = 0
+    # wheels without a measured speed may be held or coast: neither may explain the change
     for wheels in wheel_models(vehicle, telemetry).values():
-        momentum = omega @ body.inertia + wheels[at]  # H = I w + h, in mean moments times rad/s
+        # H = I w + h, in mean moments times rad/s
+        momentum = omega @ body.inertia + wheels[nearest_row]
         size = np.linalg.norm(momentum, axis=1)
         along = momentum / np.maximum(size, 1e-12)[:, None]
         # |H| changes by H/|H| . (I dw) with the rate, and by H/|H| . (dI w) with one sigma of each error of the inertia
+        by_rate = along @ body.inertia * sigma[use]
         by_inertia = np.einsum("ki,eij,kj->ke", along, body.errors, omega)
-        error = np.sqrt(((along @ body.inertia * sigma[use]) ** 2).sum(1) + (by_inertia**2).sum(1))
+        error = np.sqrt((by_rate**2).sum(1) + (by_inertia**2).sum(1))
+        # (window, window) differences in sigmas, and the pair with the largest one
         apart = (size[:, None] - size) / np.hypot(error[:, None], error)
-        fast, slow = np.unravel_index(int(np.argmax(apart)), apart.shape)
-        if not apart[fast, slow] > SIGMAS:
+        fast, slow = map(int, np.unravel_index(int(np.argmax(apart)), apart.shape))
+        if not apart[fast, slow] > SIGMAS_APART:
             return ""
-        extremes = fast, slow
-    assert extremes is not None
-    fast, slow = extremes
     high, low = np.degrees(np.linalg.norm(omega[[fast, slow]], axis=1))
     return (
         f"the rate changes as no free body's does ({low:.2g} and {high:.2g} deg/s within {abs(times[fast] - times[slow]):.0f} s): "

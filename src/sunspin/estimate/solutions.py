@@ -1,4 +1,4 @@
-"""The solutions of one pass: motions summed over models and strengths of torques, carried to all samples."""
+"""The solutions of one pass: motions summed over models and strengths of torques, and propagated to all samples."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from scipy.special import logsumexp
 from sunspin.estimate.carry import RATE
 from sunspin.estimate.chain import Fit, variance_of
 from sunspin.estimate.copies import Outline
-from sunspin.estimate.dense import filled, residuals_by_sensor
+from sunspin.estimate.dense import propagate_to_all, residuals_by_sensor
 from sunspin.estimate.evidence import PassFits
 from sunspin.estimate.model import AS_STATED, Model, Observations, Track
 from sunspin.estimate.settings import SearchSettings, SolutionSettings
@@ -21,8 +21,11 @@ from sunspin.solve.rotations import rotation_between
 ESTIMATED = ("steady_torque", "gyro_zero", "gyro_scale", "rate_size_scale", "clock", "panel_zero")
 """Kinds of unknowns that are reported as they are."""
 
-MEAN_COUNTS = 0.05
-"""Members of a solution with less than this share do not count in the sigma of its mean rate."""
+ARRAYS = ("probability", "mean", "mean_sigma", "noise")
+"""Fields of `Solutions` with a row for each solution."""
+
+LEAST_SHARE = 0.05
+"""Motions with less than this share of a solution's probability do not count in the sigma of its mean rate."""
 
 
 @dataclass(frozen=True)
@@ -30,9 +33,9 @@ class Solutions:
     """K solutions of one pass at all its samples (n), the most probable first; of the unknowns only the errors of the inertia.
 
     `probability` (K); `mean` and `mean_sigma` (K, 3) in rad/s: of the rate averaged over the pass. `residual`: by sensor (K, n), in
-    sigmas. `model`: the most probable model and its probability. `noise` (K): strength of unknown torques, rad/s^1.5. `estimates`:
-    for each solution name -> unit, value, sigma. `cost_limit`: beyond it no motion fits. `without_periods` (K): the probability
-    before periods that were seen are counted in.
+    sigmas. `model`: name and probability of the nominal model, or of the most probable one if that is improbable. `noise` (K):
+    strength of unknown torques, rad/s^1.5. `estimates`: for each solution name -> unit, value, sigma. `cost_limit`: beyond it no
+    motion fits. `without_periods` (K): the probability without observed periods of the rotation.
     """
 
     obs: Observations
@@ -48,46 +51,41 @@ class Solutions:
     without_periods: np.ndarray | None = None
 
     @staticmethod
-    def joined(every: Sequence[Solutions]) -> Solutions:
-        """Return all solutions of several objects of one pass; what they share is that of the first."""
-        parts = {
-            name: np.concatenate([getattr(of_some, name) for of_some in every])
-            for name in ("probability", "mean", "mean_sigma", "noise")
-        }
+    def joined(parts: Sequence[Solutions]) -> Solutions:
+        """Return all solutions of several objects of one pass as one; `obs`, `model` and `cost_limit` are those of the first."""
+        arrays = {name: np.concatenate([getattr(part, name) for part in parts]) for name in ARRAYS}
         residual = {
-            name: np.concatenate([of_some.residual[name] for of_some in every])
-            for name in every[0].residual
+            sensor: np.concatenate([part.residual[sensor] for part in parts])
+            for sensor in parts[0].residual
         }
-        estimates = tuple(row for of_some in every for row in of_some.estimates)
-        track = Track.joined([of_some.track for of_some in every])
-        return replace(every[0], track=track, residual=residual, estimates=estimates, **parts)
+        estimates = tuple(estimate for part in parts for estimate in part.estimates)
+        track = Track.joined([part.track for part in parts])
+        return replace(parts[0], track=track, residual=residual, estimates=estimates, **arrays)
 
     def take(self, which: np.ndarray) -> Solutions:
         """Return some of the solutions, by index."""
         return replace(
             self,
             track=self.track.take(which),
-            probability=self.probability[which],
-            mean=self.mean[which],
-            mean_sigma=self.mean_sigma[which],
-            residual={name: part[which] for name, part in self.residual.items()},
-            noise=self.noise[which],
+            residual={sensor: sigmas[which] for sensor, sigmas in self.residual.items()},
             without_periods=None if self.without_periods is None else self.without_periods[which],
             estimates=tuple(self.estimates[k] for k in which),
+            **{name: getattr(self, name)[which] for name in ARRAYS},
         )
 
     def listed(self, s: SolutionSettings, images: int = 1) -> Solutions:
-        """Return the solutions that are reported, the most probable first: `s.most` at most, unless two motions have more images.
+        """Return the solutions that are reported, the most probable first.
 
-        Those below the probability `s.least` are left out. `images`: how many motions the panels cannot distinguish from one.
+        They are `s.most` at most, or all symmetric solutions of two motions if those are more. Solutions of less than the
+        probability `s.least` are left out. `images`: number of symmetric solutions of a motion, itself included.
         """
         order = np.argsort(-self.probability, kind="stable")[: max(s.most, 2 * images)]
         count = int(np.count_nonzero(self.probability[order] > s.least))
         return self.take(order[: max(1, count)])
 
 
-Member = tuple[Fit, float]
-"""A motion as a fit of it alone (K = 1), and its part of the probability of the pass."""
+WeightedMotion = tuple[Fit, float]
+"""A motion as a fit of it alone (K = 1), and its share of the probability of the pass."""
 
 
 def solutions(
@@ -99,32 +97,35 @@ def solutions(
 ) -> Solutions:
     """Return the solutions of a pass: groups of motions that are alike under several models and strengths of torques.
 
-    A solution is the most probable motion of its group. By how much the others differ from it counts in its covariance. `whole`:
-    all samples of the pass; `kept` (n): places among them of those to which `fits` were made.
+    The rates of a solution are those of the most probable motion of its group. Its covariance also counts by how much the others
+    differ from it. `whole`: all samples of the pass; `kept` (n): indices among them of those to which `fits` were made.
     """
-    members = _members(fits, s)
-    groups = _grouped(members, fits.nominal.obs.t_s, s, search_settings)
+    motions = _weighted_motions(fits, s)
+    groups = _groups(motions, s, search_settings)
     # the probability of each model, all motions counted; an alternative is named only if the nominal one has hardly any
-    shares: dict[str, float] = {AS_STATED: 0.0}
-    for fitted, weight in members:
+    of_model: dict[str, float] = {AS_STATED: 0.0}
+    for fitted, weight in motions:
         what = fitted.model.what
-        shares[what] = shares.get(what, 0.0) + weight
-    named = AS_STATED if shares[AS_STATED] > s.named else max(shares, key=lambda what: shares[what])
+        of_model[what] = of_model.get(what, 0.0) + weight
+    most_probable = max(of_model, key=lambda what: of_model[what])
+    named = AS_STATED if of_model[AS_STATED] > s.named else most_probable
     solved = Solutions.joined([_solution(group, whole, kept) for group in groups])
-    return replace(solved, model=(named, shares[named]), cost_limit=fits.nominal.obs.cost_limit)
+    limit = fits.nominal.obs.cost_limit
+    return replace(solved, model=(named, of_model[named]), cost_limit=limit)
 
 
-def _members(fits: PassFits, s: SolutionSettings) -> list[Member]:
-    """Return the motions of all fits with weights that add to one, the heaviest first, without those that hardly count.
+def _weighted_motions(fits: PassFits, s: SolutionSettings) -> list[WeightedMotion]:
+    """Return the motions of all fits with their probabilities, the most probable first, without those that hardly count.
 
-    The weight of each is the larger one under two priors of the rate. Under the first every rate up to the largest is equally
-    likely, so most are near the largest; under the second every power of ten of the speed is. Aliases fit alike, and which of them
-    is more probable must not depend on the prior.
+    The probability is computed under two priors of the rate, and the larger one counts. Under the first, every rate up to the
+    largest is equally likely, so most are near the largest; under the second, every power of ten of the speed is. Aliases fit
+    alike, and which of them is more probable must not depend on the prior.
     """
     log = [fitted.log_evidence + fits.log_rung[fits.rung(fitted)] for fitted in fits.fits]
     log_any_speed = [
         part + _gain_of_any_speed(fitted, s) for part, fitted in zip(log, fits.fits, strict=True)
     ]
+    # all motions under each of the two priors, one after the other
     under_priors = np.concatenate(log), np.concatenate(log_any_speed)
     weights = np.max([np.exp(part - logsumexp(part)) for part in under_priors], axis=0)
     weights = weights / weights.sum()
@@ -136,90 +137,95 @@ def _members(fits: PassFits, s: SolutionSettings) -> list[Member]:
 
 
 def _gain_of_any_speed(fitted: Fit, s: SolutionSettings) -> np.ndarray:
-    """Return what motions (K) gain in log evidence if it is not known to a power of ten how fast the body turns.
+    """Return by how much the log evidence of motions (K) changes if the size of their rate is not known to a power of ten.
 
-    It is the mean of the evidence under priors of the rate at the first sample that are narrower by the factors `s.slower`. A fit
-    that ended on a slope has no covariance, and gains nothing.
+    The prior of the rate at the first sample is then the mean of normal priors whose sigmas are narrower by the factors `s.slower`.
+    A fit that did not end in a minimum has no covariance: its evidence stays as it is.
     """
     sigma = fitted.model.rate_sigma
-    # In sigmas of the prior a narrower one adds 1 / share^2 - 1 to the precision P, which makes P' of it, and P m to P' m' of the
-    # mean m; the log evidence changes as in `evidence.over_shares`.
+    # In sigmas of the prior, a narrower one adds 1 / share^2 - 1 to the precision P of the rate, of the mean m: P' = P + that, P'
+    # m' = P m. The log evidence changes by (m' P' m' - m P m + log det P - log det P') / 2 - 3 log share.
     covariance = np.nan_to_num(fitted.motions.covariance[:, 0, RATE, RATE]) / sigma**2
-    sound = np.linalg.eigvalsh(covariance)[:, 0] > 0
-    covariance = np.where(sound[:, None, None], covariance, np.eye(3))
-    rate = fitted.motions.omega[:, 0] / sigma
-    precision = np.linalg.inv(covariance)
-    slope = (precision @ rate[..., None])[..., 0]
+    valid = np.linalg.eigvalsh(covariance)[:, 0] > 0
+    covariance = np.where(valid[:, None, None], covariance, np.eye(3))
+    rate = fitted.motions.omega[:, 0] / sigma  # m
+    precision = np.linalg.inv(covariance)  # P
+    slope = (precision @ rate[..., None])[..., 0]  # P m
     before = np.linalg.slogdet(precision)[1] - np.einsum("ki,ki->k", slope, rate)
     gains = []
     for share in s.slower:
-        matrix = precision + (1 / share**2 - 1) * np.eye(3)
-        mean = np.linalg.solve(matrix, slope[..., None])[..., 0]
+        matrix = precision + (1 / share**2 - 1) * np.eye(3)  # P'
+        mean = np.linalg.solve(matrix, slope[..., None])[..., 0]  # m'
         after = np.linalg.slogdet(matrix)[1] - np.einsum("ki,ki->k", slope, mean)
-        gains.append(sound * ((before - after) / 2 - 3 * np.log(share)))
+        gains.append(valid * ((before - after) / 2 - 3 * np.log(share)))
     return logsumexp(gains, axis=0) - np.log(len(gains))
 
 
-def _grouped(
-    members: list[Member], t_s: np.ndarray, s: SolutionSettings, search_settings: SearchSettings
-) -> list[list[Member]]:
-    """Return the members of each solution, the heaviest first; solutions by their weight."""
-    groups: list[tuple[Outline, list[Member]]] = []
-    for fitted, weight in members:
-        outline = Outline.of(fitted.motions, t_s)
+def _groups(
+    motions: list[WeightedMotion], s: SolutionSettings, search_settings: SearchSettings
+) -> list[list[WeightedMotion]]:
+    """Return the motions of each solution, the most probable first; solutions by falling probability.
+
+    `motions`: the most probable first. Each joins the first group whose most probable motion, the head, it resembles.
+    """
+    groups: list[tuple[Outline, list[WeightedMotion]]] = []
+    for fitted, weight in motions:
+        outline = Outline.of(fitted.motions, fitted.model.obs.t_s)
         for head, group in groups:
-            # Motions of one fit are no copies of each other, so they stay two solutions unless they are nearer to each other than
-            # motions of different models need be.
-            same_fit = any(fitted.model is other.model for other, _ in group)
+            # Two motions of one fit were not taken for copies there. So they stay two solutions unless they are nearer to each
+            # other than motions of different models need be.
+            same_fit = any(fitted.model is member.model for member, _ in group)
             apart = search_settings.copies_rad if same_fit else s.bent_rad
             if outline.same(0, head, apart, s.bent_rad, search_settings.copies_sigmas)[0]:
                 group.append((fitted, weight))
                 break
         else:
             groups.append((outline, [(fitted, weight)]))
-    lists = [group for _, group in groups]
-    return sorted(lists, key=lambda group: -sum(weight for _, weight in group))
+    return sorted((group for _, group in groups), key=lambda g: -sum(weight for _, weight in g))
 
 
-def _solution(group: list[Member], whole: Observations, kept: np.ndarray) -> Solutions:
+def _solution(group: list[WeightedMotion], whole: Observations, kept: np.ndarray) -> Solutions:
     """Return the solution (K = 1) of a group of motions, the most probable one first, at all samples `whole` of a pass.
 
-    `kept`: which of the samples were fitted.
+    `kept`: indices of the samples that were fitted.
     """
     fits, weights = zip(*group, strict=True)
     head, model, weight = fits[0], fits[0].model, np.array(weights)
     shares = weight / weight.sum()
 
     # At the kept samples, sums over the motions of the group, weighted by `shares`:
-    # `covariance` of the mixture about the first motion, widened by the differences `offs` (each (1, n, 6)) of turn and rate;
-    # `square` (n - 1), the squared strength of the torques in each interval;
+    # `covariance` of the mixture about the first motion, from which each differs by `offs` (each (1, n, 6)) in turn and rate;
+    # `noise_square` (n - 1), the squared strength of the torques in each interval;
     # `hidden`, the variance (rad/s)^2 of a rate that oscillates between the samples (`swings.py`), which no sample shows.
     dt = np.diff(model.obs.t_s)
-    offs, covariance, square, hidden = [], 0.0, 0.0, 0.0
+    offs, covariance, noise_square, hidden = [], 0.0, 0.0, 0.0
     for fitted, share in zip(fits, shares, strict=True):
         motion, noise = fitted.motions, fitted.model.noise
         turn = rotation_between(head.motions.attitude, motion.attitude)
         off = np.concatenate([turn, motion.omega - head.motions.omega], axis=-1)
         offs.append(off)
-        own = motion.covariance + off[..., :, None] * off[..., None, :]
-        covariance = covariance + share * own
-        square = square + share * noise.in_intervals(dt) ** 2
+        about_head = motion.covariance + off[..., :, None] * off[..., None, :]
+        covariance = covariance + share * about_head
+        noise_square = noise_square + share * noise.in_intervals(dt) ** 2
         hidden += share * noise.hidden_variance(dt)
     motion = replace(head.motions, covariance=np.asarray(covariance))
-    # `mean_map` gives the mean rate over the pass from errors of turn and rate at the kept samples
-    track, mean_map = filled(model, motion, whole.t_s, whole.momentum, np.sqrt(square))
+    # `mean_by_kept` (1, n, 3, 6): derivative of the mean rate over the pass by turn and rate at the kept samples
+    track, mean_by_kept = propagate_to_all(
+        model, motion, whole.t_s, whole.momentum, np.sqrt(noise_square)
+    )
     residual = residuals_by_sensor(whole, model, track, kept)
     # Axes of N that follow a magnetic field turn in space, at up to `axes_rad_s` about an unknown axis. A third of its square is
     # the variance of each component, also of the mean rate. An oscillation hardly changes the mean: its variance is divided by n.
     axes = max(term.axes_rad_s for term in whole.terms) ** 2 / 3
     track.covariance[..., RATE, RATE] += (hidden + axes) * np.eye(3)
 
-    # The variance of the mean rate: again that of the mixture about the first motion, without members of small share.
-    counted = np.flatnonzero((shares >= MEAN_COUNTS) | (np.arange(len(group)) == 0))
+    # the variance of the mean rate: again that of the mixture about the first motion, without motions of small share
+    counted = np.flatnonzero((shares >= LEAST_SHARE) | (np.arange(len(group)) == 0))
     variance = 0.0
     for k in counted:
-        off = np.einsum("knij,knj->ki", mean_map, offs[k])  # of the mean rate
-        variance = variance + shares[k] * (variance_of(fits[k], mean_map) + off**2)
+        # by how much its mean rate differs from that of the first
+        mean_off = np.einsum("knij,knj->ki", mean_by_kept, offs[k])
+        variance = variance + shares[k] * (variance_of(fits[k], mean_by_kept) + mean_off**2)
     return Solutions(
         obs=whole,
         track=replace(track, u=motion.u[:, model.inertia_slice]),
@@ -228,21 +234,20 @@ def _solution(group: list[Member], whole: Observations, kept: np.ndarray) -> Sol
         mean_sigma=np.sqrt(variance / shares[counted].sum() + axes + hidden / len(model.obs)),
         residual=residual,
         model=(model.what, 1.0),  # `solutions` replaces it, and the limit
-        noise=np.sqrt(np.median(square, keepdims=True)),
+        noise=np.sqrt(np.median(noise_square, keepdims=True)),
         estimates=(estimates(head),),
         cost_limit=np.inf,
     )
 
 
 def estimates(fitted: Fit) -> dict[str, tuple[str, float, float]]:
-    """Return what was estimated with the motion of a fit (K = 1): name -> unit, value, one sigma.
+    """Return the numbers that were estimated with the motion of a fit (K = 1): name -> unit, value, one sigma.
 
-    Gains are factors on those of the vehicle file, moments of inertia in units of the mean one; the Earth's light is the mean over
-    the pass in axes of N.
+    Gains are factors on those of the file, moments of inertia in units of the mean one, the Earth's light a mean in axes of N.
     """
     model: Model = fitted.model
     u, covariance = fitted.motions.u[0], fitted.u_covariance[0]
-    # of each number: unit, value a before the data, and its derivative g (m) by the unknowns, so that it is a + g . u
+    # of each number: unit, prior value a, and derivative g (m) by the unknowns u; its estimate is a + g . u
     rows: dict[str, tuple[str, float, np.ndarray]] = {}
     every = np.eye(len(u))  # row i: the derivative of unknown i itself
     body = model.body
@@ -254,20 +259,18 @@ def estimates(fitted: Fit) -> dict[str, tuple[str, float, float]]:
             rows[unknown.name] = unknown.unit, unknown.centre, unknown.sigma * every[k]
     for term, own in model.terms_with_slices:
         if isinstance(term, Panels) and len(term.gain_errors):
-            errors = every[own][term.gain_slice]
+            # a gain is the stated one plus its sigmas (e) times e errors, which panels may share
+            by_error = every[own][term.gain_slice]
             for k, name in enumerate(term.names):
-                rows[f"gain_{name}"] = "1", term.gain[k], term.gain_errors[:, k] @ errors
+                rows[f"gain_{name}"] = "1", term.gain[k], term.gain_errors[:, k] @ by_error
         if isinstance(term, Panels) and term.earth is not None:
             earth, light = term.earth, every[own][term.earth_slice]
             centre = np.zeros(3) if earth.known_N is None else earth.known_N.mean(axis=0)
+            # one sigma of each unknown changes the light vector by a row of `light_N`, here its mean over the samples
             change = earth.light_N.mean(axis=0).T @ light[earth.light_slice]
             for k, axis in enumerate("xyz"):
                 rows[f"earth_light_{axis}"] = "full Sun", float(centre[k]), change[k]
     return {
-        name: (
-            unit,
-            float(centre + change @ u),
-            float(np.sqrt(max(change @ covariance @ change, 0))),
-        )
-        for name, (unit, centre, change) in rows.items()
+        name: (unit, float(a + g @ u), float(np.sqrt(max(g @ covariance @ g, 0))))
+        for name, (unit, a, g) in rows.items()
     }

@@ -1,10 +1,10 @@
-"""What the wheels do if the file does not say it, and whether they turn the way that it says.
+"""What the wheels do if the file does not state it, and whether they turn in the direction that it states.
 
-Without measured speeds wheels are held at their nominal speed, or coast from it: the evidence of the longest passes decides.
+Wheels without measured speeds are held at their nominal speed, or coast from it: the evidence of the longest passes decides.
 
-Signs of a wheel's axis and speed are conventions, so the other sign is tried. A wheel turns the rate of the body round. Half a turn
-forward and half a turn back between two samples end alike, so that a wheel of the wrong sign may fit as well, with another motion.
-A reversed wheel is named if it clearly fits better than the wheel as the file has it. If both signs fit alike the file is believed.
+Signs of a wheel's axis and speed are conventions, so the other sign is tried. A wheel turns the vector of the rate in the body.
+Half a revolution forward and half a revolution back between two samples end alike, so a wheel of the wrong sign may fit as well,
+with another motion. A reversed wheel is named if it clearly fits better than the wheel in the file, which else is believed.
 """
 
 from __future__ import annotations
@@ -28,29 +28,27 @@ from sunspin.telemetry.assess import Assessment
 from sunspin.vehicle import Vehicle
 
 LONGEST_PASSES = 2
-"""Passes, those with the most samples, that say what the wheels do and which way they turn."""
+"""Passes, those with the most samples, by whose evidence models and signs of the wheels are compared."""
 
 EVIDENCE = " (evidence "
-"""What stands after the name of a wheel model where its evidence is said."""
+"""What separates the name of a wheel model from its evidence, in words."""
 
-FAR = 20.0
-"""Reversed wheels are given up if a quick search finds their log evidence worse by this; it is large, because that search holds the
-inertia."""
+QUICK_LOSS = 20.0
+"""Reversed wheels are not fitted if a quick search, which holds the inertia, finds their log evidence worse by this."""
 
 WRAPPED_RAD = 10.0
-"""Nor are wheels tried that turn the rate round by more than this from sample to sample: at 42 rad one of five right files was
-accused."""
+"""Wheels that turn the rate by more than this between samples are not reversed: at 42 rad one of five right files was doubted."""
 
-AS_WELL = 1.0
-"""Log evidence by which reversed wheels may be worse in one pass and are still tried on the next."""
+LOSS = 1.0
+"""Log evidence by which reversed wheels may be worse in the passes so far and are still tried on the next."""
 
 
 @dataclass(frozen=True)
 class DecidedWheels:
-    """What the wheels do: the `name` of the model, and `words` that say its evidence too.
+    """What the wheels do: the `name` of the model, and `words` with its evidence too.
 
-    `momentum` (n, 3) at all samples of the file, in mean moments times rad/s; `fits`: of the passes that were compared to decide
-    it, by their place in the file.
+    `momentum` (n, 3) of all wheels at all samples of the file, in mean moments times rad/s. `fits`: of the passes that were
+    compared for it, by their index among all passes.
     """
 
     name: str
@@ -61,10 +59,9 @@ class DecidedWheels:
 
 @dataclass(frozen=True)
 class Reversed:
-    """Wheels, by their numbers, that may turn the other way, and the `gain` in log evidence if they do.
+    """`wheels`, by their numbers, that may turn the other way, and the `gain` in log evidence if they do.
 
-    And the longest pass as estimated so: whether it `fits`, its times (n) in s, rates (n, 3) in rad/s and directions of the Sun
-    (n, 3).
+    Of the longest pass with them reversed: whether it `fits`, times `t_s` (n), rates `omega` (n, 3), Sun directions `sun_B` (n, 3).
     """
 
     wheels: tuple[int, ...]
@@ -78,20 +75,20 @@ class Reversed:
 def decide_wheels(
     assessment: Assessment, nominal: Model, passes: Sequence[Pass], fitter: PassFitter
 ) -> DecidedWheels:
-    """Return what the wheels do: of several possibilities the one under which the longest passes have the largest evidence.
+    """Return what the wheels do: of the possible models the one under which the longest passes have the largest evidence.
 
     `nominal`: the nominal model of the whole file, with any momentum of the wheels.
     """
-    momenta = wheel_models(assessment.vehicle, assessment.telemetry)
+    momenta = wheel_models(assessment.vehicle, assessment.telemetry)  # by name
     for a_pass in passes:
         longest_s = float(np.diff(nominal.obs.t_s[a_pass.kept]).max())
         for momentum in momenta.values():
             require_followed(nominal.body.inertia, momentum[a_pass.kept], longest_s)
-    first, *others = momenta  # names of the models
+    first, *others = momenta
     if not others:
         return DecidedWheels(first, first, momenta[first], {})
 
-    # the model of each pass that is compared, under each model of the wheels
+    # by name of the wheel model and index of a compared pass: the model of the pass
     compared = longest_passes(passes)
     models = {
         (name, k): model_of_kept(nominal.with_momentum(momentum), passes[k])
@@ -99,8 +96,8 @@ def decide_wheels(
         for k in compared
     }
 
-    # Wheels that turn the body nearly alike have nearly the same motions: fits under them begin from those of the first model, and
-    # one search serves them all. All other models are searched, side by side.
+    # Wheel models that turn the body nearly as the first one does have nearly its motions: their fits begin from these, without a
+    # search. All other models are searched, side by side.
     s = fitter.settings.search
     alike = [
         name
@@ -109,7 +106,7 @@ def decide_wheels(
     ]
     jobs = [(name, k) for name in momenta if name not in alike for k in compared]
     fits = dict(zip(jobs, fitter.fits_if_any([models[job] for job in jobs]), strict=True))
-    # None if the first model allows no motion
+    # of each pass the motions under the first model; None if it allows none
     begin: dict[int, Track | None] = dict.fromkeys(compared)
     for k in compared:
         of_first = fits[first, k]
@@ -125,17 +122,17 @@ def decide_wheels(
         for job, pass_fits in fits.items()
     }
     if not np.isfinite(list(evidence.values())).any():
-        one_pass(models[first, compared[0]], fitter.settings, fitter.budget)  # raises, and says why
+        # no model allows a motion: the estimate raises the error that says why
+        one_pass(models[first, compared[0]], fitter.settings, fitter.budget)
     total = {name: sum(evidence[name, k] for k in compared) for name in momenta}
     best, second = sorted(total, key=lambda name: total[name], reverse=True)[:2]
     words = f"{best}{EVIDENCE}{total[best] - total[second]:.1f} above any other)"
-    fits_of_best = {k: fits[best, k] for k in compared}
-    done = {k: pass_fits for k, pass_fits in fits_of_best.items() if pass_fits is not None}
+    done = {k: of_pass for k in compared if (of_pass := fits[best, k]) is not None}
     return DecidedWheels(best, words, momenta[best], done)
 
 
 def longest_passes(passes: Sequence[Pass]) -> list[int]:
-    """Return the places of the :data:`LONGEST_PASSES` passes with the most samples, the longest first."""
+    """Return the indices of the :data:`LONGEST_PASSES` passes with the most samples, the longest first."""
     return sorted(range(len(passes)), key=lambda k: -len(passes[k].samples))[:LONGEST_PASSES]
 
 
@@ -145,7 +142,7 @@ def model_of_kept(nominal: Model, of_pass: Pass) -> Model:
 
 
 def name_of_wheels(words: str) -> str:
-    """Return the name of a wheel model of which the words say the evidence too."""
+    """Return the name of a wheel model from words that also give its evidence (`DecidedWheels.words`)."""
     return words.split(EVIDENCE)[0]
 
 
@@ -153,8 +150,8 @@ def _turn_alike(first: Model, second: Model, basin_rad: float) -> bool:
     """Return whether the wheels of two models turn the rate of the body alike in a pass, to `basin_rad`.
 
     A fit under the second model then finds its motion from that of the first. The difference of the momenta turns the rate at the
-    angular frequency of :func:`nutation`; its integral is an angle. It counts from the median sample, where the motions agree, to
-    the ends.
+    angular frequency of :func:`nutation`, whose integral is the angle that is compared. A fit keeps the motions together at the
+    middle sample, so the angle counts from there to either end.
     """
     t_s = first.obs.t_s
     frequency = nutation(first.body.inertia, second.obs.momentum - first.obs.momentum)
@@ -164,27 +161,26 @@ def _turn_alike(first: Model, second: Model, basin_rad: float) -> bool:
 
 
 def momentum_of_each(vehicle: Vehicle, telemetry: xr.Dataset, name: str) -> np.ndarray:
-    """Return the momentum (n_wheel, n, 3) of each wheel in mean moments of inertia times rad/s; (0, n, 3) without an inertia.
+    """Return the momentum (n_wheel, n, 3) of each wheel, in mean moments of inertia times rad/s; (0, n, 3) without an inertia.
 
-    `name`: what the wheels do, a key of :func:`wheel_models`, which gives the sum over all wheels.
+    `name`: of the model of the wheels, a key of :func:`wheel_models`, which gives the sum over all wheels.
     """
     t_s = np.asarray(telemetry["time"], dtype=np.float64)
     speed = wheel_speeds(vehicle, telemetry, t_s).get(name)
     if vehicle.inertia_kg_m2 is None or speed is None:
         return np.zeros((0, len(t_s), 3))
     axes = [wheel.inertia_kg_m2 * np.asarray(wheel.axis_B) for wheel in vehicle.wheels]
-    unit = float(np.trace(vehicle.inertia_kg_m2)) / 3
-    return speed.T[..., None] * np.reshape(axes, (-1, 1, 3)) / unit
+    mean_moment = float(np.trace(vehicle.inertia_kg_m2)) / 3
+    return speed.T[..., None] * np.reshape(axes, (-1, 1, 3)) / mean_moment
 
 
 def reversed_momenta(
     vehicle: Vehicle, of_wheels: np.ndarray, inertia: np.ndarray, t_s: np.ndarray
 ) -> dict[tuple[int, ...], np.ndarray]:
-    """Return the total momenta (n, 3) with each wheel reversed, and with all, by the numbers of those that are reversed.
+    """Return the total momentum (n, 3) with each wheel reversed, and with all, by the numbers of those that are reversed.
 
-    Left out are wheels that hardly turn the rate of the body round in the whole file, and those that turn it by more than
-    :data:`WRAPPED_RAD` between two samples. `of_wheels` (n_wheel, n, 3): momenta as the file has them, at times `t_s` (n).
-    `inertia` (3, 3) is in mean moments.
+    Wheels are left out if they hardly turn the rate of the body in the whole file, or turn it by more than :data:`WRAPPED_RAD`
+    between two samples. `of_wheels` (n_wheel, n, 3): momenta with the signs of the file, and `inertia` (3, 3), in mean moments.
     """
     momenta: dict[tuple[int, ...], np.ndarray] = {}
     if not of_wheels.any():
@@ -201,15 +197,15 @@ def reversed_momenta(
 def search_reversed(
     assessment: Assessment, name: str, nominal: Model, longest_pass: Pass, fitter: PassFitter
 ) -> tuple[dict[tuple[int, ...], np.ndarray], Iterable[float]]:
-    """Return quick searches of the longest pass with reversed wheels; a pool begins them now, else they wait until asked for.
+    """Begin quick searches of the longest pass with reversed wheels; return the momenta of these, and an iterable of log evidence.
 
-    First the momenta (n, 3) of the wheels at all samples of the file, by the numbers of those that are reversed; then their log
-    evidence (:func:`sunspin.estimate.quick.quick_evidence`), in this order. `name`: what the wheels do; `nominal`: the nominal
-    model of the whole file.
+    The momenta (n, 3) at all samples of the file are given by the numbers of the reversed wheels; the log evidence of each
+    (:func:`sunspin.estimate.quick.quick_evidence`) is in the same order. A pool of processes begins the searches at once; without a
+    pool each is made when its result is read. `name`: of the model of the wheels; `nominal`: the nominal model of the whole file.
     """
     vehicle = assessment.vehicle
-    each = momentum_of_each(vehicle, assessment.telemetry, name)
-    momenta = reversed_momenta(vehicle, each, nominal.body.inertia, nominal.obs.t_s)
+    of_wheels = momentum_of_each(vehicle, assessment.telemetry, name)
+    momenta = reversed_momenta(vehicle, of_wheels, nominal.body.inertia, nominal.obs.t_s)
     models = [
         model_of_kept(nominal.with_momentum(momentum), longest_pass)
         for momentum in momenta.values()
@@ -224,49 +220,49 @@ def doubted_signs(
     quick_evidences: Iterable[float],
     fitter: PassFitter,
 ) -> Reversed | None:
-    """Return the wheels whose sign the data doubt; None if they do not, or cannot.
+    """Return the wheels whose sign in the file the data contradict; None if there are none.
 
-    Wheels are doubted if, reversed, they raise the log evidence of all compared passes together by :data:`CLEARLY`. Most wheels are
-    given up before that: by a quick search, or as soon as the passes are worse together. Of several the ones with the largest gain
-    are returned. Their motion may be that of the file within its errors, which are large under the strong torques that a wrong
-    file wants: exchanged columns that look the same as the reversed wheel then still give another one.
+    The sign is doubted if reversed wheels raise the log evidence of all compared passes together by :data:`CLEARLY`. Most wheels
+    are excluded before that: by a quick search, or as soon as the evidence of the passes so far falls. Of several the one with the
+    largest gain is returned. Its motion may agree with that of the file within the errors, which are large under the strong torques
+    that a wrong file needs; it is returned all the same, since exchanged columns that fit like the reversed wheel have another one.
 
-    `obs`: all samples of the file; `compared`: the longest passes, under the file as it is written; `momenta` and
-    `quick_evidences`: searches of the first of them (:func:`search_reversed`).
+    `obs`: all samples of the file. `compared`: the longest passes with their fits for the file as it is. `momenta`,
+    `quick_evidences`: of :func:`search_reversed` for the first of them.
     """
     if not momenta:
         return None
     settings, (longest_pass, of_longest) = fitter.settings, compared[0]
-    # the fits of the file as it is written have found its motions: the quick evidence begins from them, without a search
+    # the motions of the file as it is are known: its quick evidence begins from them, without a search
     known = best_motions(of_longest.fits, MOTIONS, settings.search)
-    quick_as_written = quick_evidence(of_longest.nominal, settings, replace(fitter.budget), known)
+    quick_of_file = quick_evidence(of_longest.nominal, settings, replace(fitter.budget), known)
     doubted: list[Reversed] = []
-    for (which, momentum), quick in zip(momenta.items(), quick_evidences, strict=True):
-        if quick < quick_as_written - FAR:
+    for (numbers, momentum), quick in zip(momenta.items(), quick_evidences, strict=True):
+        if quick < quick_of_file - QUICK_LOSS:
             continue
-        gain, new_fits = 0.0, []
-        for a_pass, as_written in compared:
-            model = as_written.nominal.with_momentum(momentum[a_pass.kept])
-            (fitted,) = fitter.fits_if_any([model])
-            if fitted is None:
+        gain, fits_reversed = 0.0, []
+        for a_pass, fits_of_file in compared:
+            model = fits_of_file.nominal.with_momentum(momentum[a_pass.kept])
+            (pass_fits,) = fitter.fits_if_any([model])
+            if pass_fits is None:
                 break
-            gain += log_evidence(fitted) - log_evidence(as_written)
-            if gain < -AS_WELL:
+            gain += log_evidence(pass_fits) - log_evidence(fits_of_file)
+            if gain < -LOSS:
                 break
-            new_fits.append(fitted)
-        if len(new_fits) < len(compared) or gain < CLEARLY:
+            fits_reversed.append(pass_fits)
+        if len(fits_reversed) < len(compared) or gain < CLEARLY:
             continue
-        # the longest pass at all its samples
+        # the most probable solution of the longest pass, at all its samples
         whole = replace(obs, momentum=momentum).of_pass(longest_pass.samples)
         kept = longest_pass.kept_in_pass
-        solved = solutions(new_fits[0], whole, kept, settings.solutions, settings.search)
-        agree = all(misfit(part[0]).fits for part in solved.residual.values())
-        fits_well = bool(agree and solved.track.cost[0] <= solved.cost_limit)
+        solved = solutions(fits_reversed[0], whole, kept, settings.solutions, settings.search)
+        sensors_fit = all(misfit(residual[0]).fits for residual in solved.residual.values())
+        fits_well = bool(sensors_fit and solved.track.cost[0] <= solved.cost_limit)
         omega, sun_B = solved.track.omega[0], solved.track.sun_B[0]
-        doubted.append(Reversed(which, gain, fits_well, solved.obs.t_s, omega, sun_B))
+        doubted.append(Reversed(numbers, gain, fits_well, solved.obs.t_s, omega, sun_B))
     return max(doubted, key=lambda reversed_wheels: reversed_wheels.gain, default=None)
 
 
 def log_evidence(fits: PassFits) -> float:
-    """Return the log evidence of a pass, all rungs, models and motions summed."""
+    """Return the log evidence of a pass, summed over all strengths of torques, models and motions."""
     return float(np.logaddexp.reduce(fits.log_evidence_of_rungs() + fits.log_rung))
