@@ -231,7 +231,7 @@ class Shooting:
         took = FIT_S * min(going, most) * samples / self.s.held
         takes = f"takes about {took / 60:.1f} min"
         if going > most:
-            smaller = self.reference.given * (most / going) ** (1 / 3)
+            smaller = self.reference.prior_max_rate * (most / going) ** (1 / 3)
             _warn(
                 f"{going} motions may fit {samples} samples; {most} of them are followed, which {takes}, and the search will not "
                 f"be complete; with --prior max_rate_rad_s={smaller:.2g} about all of them would be followed"
@@ -247,7 +247,7 @@ class Shooting:
         reference = self.reference
         took = START_S * cell_count(reference.limit, reference.edge) * len(reference.suns)
         if took > LONG_S:
-            smaller = min(reference.given, reference.limit) * (LONG_S / took) ** (1 / 3)
+            smaller = min(reference.prior_max_rate, reference.limit) * (LONG_S / took) ** (1 / 3)
             _warn(
                 f"looking for starts takes about {took / 60:.1f} min; with --prior max_rate_rad_s={smaller:.2g} about one"
             )
