@@ -176,9 +176,8 @@ def spin_down_speed(
     decay = np.maximum(decay, -LONGEST_BACK)
     small = np.abs(decay) < 1e-8
     relaxed = np.where(small, 1.0 - 0.5 * decay, -np.expm1(-decay) / np.where(small, 1.0, decay))
-    size = (
-        np.abs(speed_rad_s) * np.exp(-decay) - coulomb_N_m / inertia_kg_m2 * np.asarray(t) * relaxed
-    )
+    by_coulomb = coulomb_N_m / inertia_kg_m2 * np.asarray(t) * relaxed
+    size = np.abs(speed_rad_s) * np.exp(-decay) - by_coulomb
     return np.sign(speed_rad_s) * np.maximum(size, 0.0)
 
 

@@ -170,11 +170,9 @@ def _vector(value: npt.ArrayLike, name: str) -> np.ndarray:
 def wheel_speeds(vehicle: Vehicle, wheel_speed_rad_s: npt.ArrayLike | None) -> np.ndarray:
     """Return the public wheel-speed argument (None, number or one per wheel) as an array (n_wheel) in rad/s."""
     n = len(vehicle.wheels)
-    speeds = (
-        np.zeros(0)
-        if wheel_speed_rad_s is None
-        else np.atleast_1d(np.asarray(wheel_speed_rad_s, dtype=np.float64))
-    )
+    speeds = np.zeros(0)
+    if wheel_speed_rad_s is not None:
+        speeds = np.atleast_1d(np.asarray(wheel_speed_rad_s, dtype=np.float64))
     if speeds.shape != (n,) or not np.all(np.isfinite(speeds)):
         raise MotionError(
             f"wheel_speed_rad_s must give one finite number for each of the {n} wheel(s) of {vehicle.name!r}",

@@ -130,26 +130,25 @@ def load(lanes, clock, motions, task, l, row):
     y[NX + l], y[NY + L + l] = 1.0, 1.0
     for i in range(n_wheels):
         w = i * PER_WHEEL + l
-        axis, j, dry = motions.axes[i], wheel[i, 0], wheel[i, 1]
+        axis, axial_inertia, dry = motions.axes[i], wheel[i, 0], wheel[i, 1]
         along = axis[0] * omega[0] + axis[1] * omega[1] + axis[2] * omega[2]
-        y[AXIAL + i * L + l] = j * (speeds[i] + along)
+        # h = J (W + u.omega)
+        y[AXIAL + i * L + l] = axial_inertia * (speeds[i] + along)
         for k in range(3):
             u[w + AXIS + k * L] = axis[k]
-        u[w + INVERSE_J], u[w + DRY], u[w + VISCOUS] = 1.0 / j, dry, wheel[i, 2]
+        u[w + INVERSE_J], u[w + DRY], u[w + VISCOUS] = 1.0 / axial_inertia, dry, wheel[i, 2]
         u[w + KEPT] = 0.0
         if motions.driven[i]:
             u[w + KEPT], u[w + DRY] = speeds[i], 0.0
             stick(u, w)
-        elif (
-            speeds[i] == 0.0 and dry > 0.0
-        ):  # `settle` releases it below if friction cannot hold it
-            stick(u, w)
+        elif speeds[i] == 0.0 and dry > 0.0:
+            stick(u, w)  # `settle` below releases it if friction cannot hold it
         else:
             slip(u, w, 1.0 if speeds[i] > 0.0 else -1.0)
         for k in range(3):
-            y[H + k * L + l] += j * speeds[i] * axis[k]
+            y[H + k * L + l] += axial_inertia * speeds[i] * axis[k]
             if u[w + FREE] < 0.5:
-                p[HELD + k * L + l] += j * speeds[i] * axis[k]
+                p[HELD + k * L + l] += axial_inertia * speeds[i] * axis[k]
     p[PULL + l] = motions.pull
     at = 0
     for a in range(3):

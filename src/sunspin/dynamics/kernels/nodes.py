@@ -158,9 +158,8 @@ def deposit_step(lanes, nodes, n_wheels):
         nodes.state[j] = lanes.c[0, j]
     write_half_angle(lanes, nodes, np.zeros(L))
     write_node(lanes, nodes, n_wheels, at[NODE + WAYS * PER_NODE : NODE + (WAYS + 1) * PER_NODE])
-    add_way(
-        nodes, 0
-    )  # no loop: its indices would not be constants (rule 1 of `flow`), six times slower
+    # no loop: its indices would not be constants (rule 1 of `flow`), six times slower
+    add_way(nodes, 0)
     add_way(nodes, 1)
     add_way(nodes, 2)
     for l in range(PER_NODE):

@@ -33,9 +33,8 @@ STATE_ROWS = 6 + WHEELS + 18
 OMEGA = STATE_ROWS * L  # omega less SPIN H, under torques less SPIN PIVOT
 RATE = OMEGA + 3 * L  # omega, under torques only
 ALONG = RATE + 3 * L  # u.omega of wheel i at ALONG + i L
-ROWS = (
-    STATE_ROWS + 6 + WHEELS + 1
-)  # no power of two: the rows would compete for few places in the processor's cache
+# no power of two: the rows would compete for few places in the processor's cache
+ROWS = STATE_ROWS + 6 + WHEELS + 1
 
 # ---- numbers of the motion in a lane -------------------------------------------------------------
 DT = 0  # length of the step, s, negative backward in time

@@ -55,10 +55,8 @@ OLD = 6 * L  # the same at the start of the step (6)
 DT = 12 * L
 DP, DM = 13 * L, 14 * L  # l_p - l_q and l_m - l_q
 INVERSE = 15 * L  # l (3)
-W0, W1 = (
-    18 * L,
-    21 * L,
-)  # the part w of the wheels at the start of the step, and its change in the step (3 each)
+# the part w of the wheels at the start of the step, and its change in the step (3 each)
+W0, W1 = 18 * L, 21 * L
 DRIVEN = 24 * L  # K (3), momentum of the driven wheels
 AXES = 27 * L  # rows p, q, m of the rotation from B (9)
 # common rotation: cosine, sine / |H|, (1 - cosine) H.r / |H|^2, in the middle and at the end of the step
@@ -70,14 +68,10 @@ NUMBERS = 46
 
 # ---- rows of `u`: numbers of wheel i, from i PER_WHEEL on ---------------------------------------------
 AXIS = 0  # u (3), principal axes
-AXIAL, LOW = (
-    3 * L,
-    4 * L,
-)  # h, and by how much it exceeds the exact sum of its changes (Kahan's summation)
+# h, and by how much it exceeds the exact sum of its changes (Kahan's summation)
+AXIAL, LOW = 3 * L, 4 * L
 FREE, COULOMB, VISCOUS, J = 5 * L, 6 * L, 7 * L, 8 * L  # as in `rows`; J in kg m^2
-WEAR = (
-    9 * L
-)  # the friction at the start of the step times this, s, is the change of h in the step (`set_step`)
+WEAR = 9 * L  # seconds; times the friction torque at the start it is the change of h in the step
 SIGN = 10 * L  # of the speed of a wheel that dry friction will stop, else 0
 INVERSE_DRY = 11 * L  # 1 / limit of a wheel that is stuck or may become so, else 0
 SPEED = 12 * L  # relative to the body, rad/s; only where SIGN is not 0
@@ -270,9 +264,8 @@ def begin_step(w, u, n_wheels):
             w[W1 + 2 * L + l] += m * change
             u[o + OLD_AXIAL + l], u[o + OLD_LOW + l] = h, u[o + LOW + l]
             u[o + OLD_SPEED + l] = u[o + SPEED + l]
-            part = (
-                change - u[o + LOW + l]
-            )  # Kahan's summation: thousands of small changes of a large h
+            # Kahan's summation: thousands of small changes of a large h
+            part = change - u[o + LOW + l]
             total = h + part
             u[o + LOW + l] = (total - h) - part
             u[o + AXIAL + l] = total
@@ -292,13 +285,14 @@ def write_node(lanes, at, n_wheels, k, is_end):
     for l in range(L):
         p, q, m = w[H + l], w[H + L + l], w[H + 2 * L + l]
         x, y, z = w[SUN + l], w[SUN + L + l], w[SUN + 2 * L + l]
-        c, s, along = w[turn + l], w[turn + L + l], w[turn + 2 * L + l]
+        cosine, sine, along = w[turn + l], w[turn + L + l], w[turn + 2 * L + l]
         x, y, z = (
-            c * x + s * (y * m - z * q) + along * p,
-            c * y + s * (z * p - x * m) + along * q,
-            c * z + s * (x * q - y * p) + along * m,
+            cosine * x + sine * (y * m - z * q) + along * p,
+            cosine * y + sine * (z * p - x * m) + along * q,
+            cosine * z + sine * (x * q - y * p) + along * m,
         )
-        a = w[INVERSE + l] * p - w[W0 + l] - time * w[W1 + l]  # omega
+        # omega = l H - w
+        a = w[INVERSE + l] * p - w[W0 + l] - time * w[W1 + l]
         b = w[INVERSE + L + l] * q - w[W0 + L + l] - time * w[W1 + L + l]
         d = w[INVERSE + 2 * L + l] * m - w[W0 + 2 * L + l] - time * w[W1 + 2 * L + l]
         if is_end:
@@ -309,15 +303,18 @@ def write_node(lanes, at, n_wheels, k, is_end):
             x, y, z = x * scale, y * scale, z * scale
             w[SUN + l], w[SUN + L + l], w[SUN + 2 * L + l] = x, y, z
         else:
+            # dH/dt = H x omega
             e, f, g = q * d - m * b, m * a - p * d, p * b - q * a
-            speed = e * e + f * f + g * g
-            w[SLOWEST + l] = min(w[SLOWEST + l], speed)
-            w[FASTEST + l] = max(w[FASTEST + l], speed)
-        e, f, g = y * d - z * b, z * a - x * d, x * b - y * a  # slope of r
-        for j in range(3):  # from principal to body axes
-            i, h, o = w[AXES + j * L + l], w[AXES + (3 + j) * L + l], w[AXES + (6 + j) * L + l]
-            at[n + j * L + l] = i * x + h * y + o * z
-            at[n + (3 + j) * L + l] = i * e + h * f + o * g
+            square = e * e + f * f + g * g
+            w[SLOWEST + l] = min(w[SLOWEST + l], square)
+            w[FASTEST + l] = max(w[FASTEST + l], square)
+        # dr/dt = r x omega; then both from principal to body axes
+        e, f, g = y * d - z * b, z * a - x * d, x * b - y * a
+        for j in range(3):
+            to_p, to_q = w[AXES + j * L + l], w[AXES + (3 + j) * L + l]
+            to_m = w[AXES + (6 + j) * L + l]
+            at[n + j * L + l] = to_p * x + to_q * y + to_m * z
+            at[n + (3 + j) * L + l] = to_p * e + to_q * f + to_m * g
         at[n + 6 * L + l] = a * a + b * b + d * d
     for i in range(n_wheels):
         o = i * PER_WHEEL
@@ -422,15 +419,16 @@ def load(lanes, motions, frames, l, row):
         body[3 + k] = motions.sun_B[row, k]
     for i in range(n_wheels):
         o, axis = i * PER_WHEEL + l, motions.axes[i]
-        j, dry = motions.wheels[0, i, 0], motions.wheels[0, i, 1]
+        axial_inertia, dry = motions.wheels[0, i, 0], motions.wheels[0, i, 1]
         driven = motions.driven[i]
         for k in range(3):
-            body[k] += j * speeds[i] * axis[k]
+            body[k] += axial_inertia * speeds[i] * axis[k]
         along = axis[0] * omega[0] + axis[1] * omega[1] + axis[2] * omega[2]
         sign = 1.0 if speeds[i] > 0.0 else -1.0 if speeds[i] < 0.0 else 0.0
         free = not driven and not (sign == 0.0 and dry > 0.0)  # at rest with dry friction: stuck
-        u[o + AXIAL], u[o + LOW], u[o + SPEED] = j * (speeds[i] + along), 0.0, speeds[i]
-        u[o + J], u[o + VISCOUS] = j, motions.wheels[0, i, 2]
+        u[o + AXIAL] = axial_inertia * (speeds[i] + along)
+        u[o + LOW], u[o + SPEED] = 0.0, speeds[i]
+        u[o + J], u[o + VISCOUS] = axial_inertia, motions.wheels[0, i, 2]
         u[o + FREE] = 1.0 if free else 0.0
         u[o + COULOMB] = sign * dry if free else 0.0
         u[o + SIGN] = sign if free and dry > 0.0 else 0.0
@@ -452,10 +450,11 @@ def end_step(lanes, motions, frames, at, l, row):
     for i in range(n_wheels):
         o = i * PER_WHEEL + l
         after, before = u[o + SIGN] * u[o + SPEED], u[o + SIGN] * u[o + OLD_SPEED]
-        # speeds before and after are equal in a lane that has ended, whose step has no length
+        # rest is where the speed, taken as linear, is zero; both speeds are equal in a lane that has ended
         if after < -REST_SPEED and after != before:
             share = min(share, max(before / (before - after), MOST_SHORTENED))
     if share < 1.0:
+        # restore the state and the wheels; both nodes of the step become copies of the first, with no time between them
         for j in range(6):
             w[j * L + l] = w[OLD + j * L + l]
         for i in range(n_wheels):
@@ -473,7 +472,7 @@ def end_step(lanes, motions, frames, at, l, row):
         if u[o + SIGN] != F(0) and u[o + SIGN] * u[o + SPEED] <= REST_SPEED:
             u[o + FREE], u[o + SIGN], u[o + COULOMB], sticks = 0.0, 0.0, 0.0, True
     if sticks:
-        body = np.zeros(6)
+        body = np.zeros(6)  # H and r in body axes
         for j in range(3):
             for k in range(3):
                 axis = w[AXES + (3 * k + j) * L + l]
@@ -528,9 +527,8 @@ def run_block(first, task, lanes, motions, nodes, answer):
         else:
             for l in range(L):
                 lanes.left[l] -= w[DT + l]
-        add_way(
-            nodes, 0
-        )  # no loop: its indices would not be constants (rule 1 of `flow`), six times slower
+        # no loop: its indices would not be constants (rule 1 of `flow`), six times slower
+        add_way(nodes, 0)
         add_way(nodes, 1)
         for j in range(PER_NODE):
             at[NODE + j] = at[NODE + 2 * PER_NODE + j]

@@ -310,6 +310,7 @@ def write_holding(lanes, n_wheels, l, torques, omega, holding):
     y, p, u = lanes.y, lanes.p, lanes.u
     write_body_rate(y, lanes, n_wheels, l, omega)
     moment, acceleration = np.empty(3), np.empty(3)
+    # H x omega, external torques, then the friction of free wheels
     a, b, c = y[H + l], y[H + L + l], y[H + 2 * L + l]
     moment[0] = b * omega[2] - c * omega[1]
     moment[1] = c * omega[0] - a * omega[2]
@@ -325,7 +326,7 @@ def write_holding(lanes, n_wheels, l, torques, omega, holding):
         moment[0] += p[PULL + l] * (nadir[1] * product[2] - nadir[2] * product[1])
         moment[1] += p[PULL + l] * (nadir[2] * product[0] - nadir[0] * product[2])
         moment[2] += p[PULL + l] * (nadir[0] * product[1] - nadir[1] * product[0])
-    for i in range(n_wheels):  # friction of the wheels that turn
+    for i in range(n_wheels):
         w = i * PER_WHEEL + l
         speed = y[AXIAL + i * L + l] * u[w + INVERSE_J] - along_axis(u, w, omega)
         friction = -u[w + FREE] * (u[w + COULOMB] + u[w + VISCOUS] * speed)

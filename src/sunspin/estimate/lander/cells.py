@@ -174,6 +174,7 @@ def interpolate(corners, m, x, q):
     for k in range(4):
         # each of the two sides across the first axis is interpolated along the third, then along the second axis
         for a in range(2):
+            # `low` and `high`: the ends of the second axis
             low, high = corners[4 * a, m, k], corners[4 * a + 2, m, k]
             rise_low, rise_high = corners[4 * a + 1, m, k] - low, corners[4 * a + 3, m, k] - high
             low, high = low + x[2] * rise_low, high + x[2] * rise_high
@@ -224,8 +225,7 @@ def write_rotation_slope(q, change, vector, out):
 
 @compiled
 def nearest_node(size, x, y, z):
-    """Return the index of the node nearest to the direction (x, y, z), in the order of
-    :func:`~sunspin.estimate.lander.allowed.cube_nodes`, which has `size` cells along an edge of its cube."""
+    """Return the index of the node nearest to the direction (x, y, z) among :func:`~sunspin.estimate.lander.allowed.cube_nodes`."""
     along = (abs(x), abs(y), abs(z))
     # the face of the cube that the direction hits, and its coordinates there times the component `top` along the face's normal
     if along[0] >= along[1] and along[0] >= along[2]:

@@ -31,20 +31,10 @@ from sunspin.telemetry.assess import Assessment
 from sunspin.vehicle import Vehicle, Wheel
 from sunspin.vehicle.response.panels import misalignment_sigma
 
-KEYS = {
-    "max_rate_rad_s",
-    "steady_torque",
-    "inertia",
-    "wheel_speed",
-    "wheel_inertia",
-    "friction",
-    "gain",
-    "noise",
-    "scale",
-    "time_s",
-    "tilt",
-    "tilt_common",
-}
+KEYS = set(
+    "max_rate_rad_s steady_torque inertia wheel_speed wheel_inertia friction gain noise scale "
+    "time_s tilt tilt_common".split()
+)
 """Priors that a caller may give."""
 
 ASSUMED, STATED, GIVEN = "assumed", "vehicle file", "given"
