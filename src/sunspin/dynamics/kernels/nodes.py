@@ -89,9 +89,8 @@ def write_node(lanes, nodes, n_wheels, node):
             node[3 * L + l] -= h * u[w + LIFT + l]
             node[4 * L + l] -= h * u[w + LIFT + L + l]
             node[5 * L + l] -= h * u[w + LIFT + 2 * L + l]
-    for l in range(
-        L
-    ):  # sine and cosine of the half angle, as polynomials, which compile to vector operations
+    # sine and cosine of the half angle, as polynomials, which compile to vector operations
+    for l in range(L):
         f = angle[l]
         q = f * f
         sine = f + f * q * (

@@ -171,9 +171,8 @@ def first_event(lanes, n_wheels, order, l, high):
             zero = first_zero(f, order, place, 2.0 * floor)
             if zero < NO_ZERO:
                 wheel, place = i, zero
-        elif (
-            u[w + FREE] < 0.5 and u[w + DRY] > 0.0
-        ):  # a stuck wheel: limit +- derivative of u.omega
+        elif u[w + FREE] < 0.5 and u[w + DRY] > 0.0:
+            # a stuck wheel: limit +- derivative of u.omega
             for sign in (-1.0, 1.0):
                 for k in range(order):
                     f[k] = sign * (k + 1) * c[k + 1, a]
