@@ -525,8 +525,8 @@ def advance(
 def steps_needed(problem: Problem, duration_s: float) -> tuple[float, float]:
     """Return about how many steps the longest of the motions takes, and its rate of rotation (rad/s).
 
-    The rate is the larger one of that at the start and of that after all wheels have given their momentum to the body, plus the
-    rate of nutation that each wheel causes.
+    The rate is that at the start or, if larger, that once the wheels' momentum is the body's. The rate of the nutation that each
+    wheel causes is added.
     """
     bodies, omega = problem.bodies, problem.initial.omega_B
     with np.errstate(over="ignore", invalid="ignore"):

@@ -99,6 +99,7 @@ def fit_spin_down(
     bounds = np.array([0.0, -np.inf, -np.inf]), np.array([np.inf, 0.0, 0.0])
 
     def scaled(x, a, b, c):
+        """Return the curve for scaled parameters."""
         return spin_down_curve(x, *(np.array([a, b, c]) * scale))
 
     best, covariance = curve_fit(

@@ -405,6 +405,7 @@ def _entry(sources: int) -> Any:
 
     @cached("compiling the integrator of motions, once (some 20 s)")
     def run(queue, motions, task, answer, work):
+        """Compute the motions of a queue (:func:`advance`)."""
         _ = sources
         advance(queue, motions, task, answer, work)
 

@@ -566,6 +566,7 @@ def _entry(sources: int) -> Any:
 
     @cached("compiling the integrator of scans, once (some 10 s)")
     def run(task, lanes, motions, nodes, answer):
+        """Compute the motions of a task, L at a time (:func:`run_block`)."""
         _ = sources
         for first in range(0, len(task.queue), L):
             run_block(first, task, lanes, motions, nodes, answer)

@@ -111,8 +111,8 @@ def are_watched(lanes, n_wheels, order, margin):
 def first_zero(f, degree, high, floor):
     """Return the first zero in (0, high] of the polynomial f[0] + f[1] x + ..., positive at the start; NO_ZERO if there is none.
 
-    From x, with the value a, the slope b and a bound s of the second derivative, the polynomial stays positive over a distance d up
-    to the zero of a + b d - s d^2 / 2. So steps of this length cannot pass a zero. First coefficients up to `floor` are errors of a
+    At x it has the value a, the slope b and a second derivative of at most s in size. So it stays positive over a distance d up to
+    the zero of a + b d - s d^2 / 2, and steps of this length cannot pass a zero. First coefficients up to `floor` are errors of a
     polynomial that has just left zero: the polynomial is divided by x or x^2 to remove them.
     """
     size = 0.0

@@ -117,7 +117,7 @@ def _shortest_search(model: LanderModel, s: GridSettings) -> tuple[Reference, fl
     """Return the reference with the shortest search, and the number of its starts with rates up to the limit of the prior.
 
     The time of a search is estimated: that of the starts, plus that of the motions which fit the first few samples. The number of
-    these motions is about the product of the numbers of directions that the samples allow, times the volume of rates in units of
+    these is about the product of the numbers of directions that the samples allow, times the volume of rates in units of
     1 / (time to the farthest sample)^3. That favours a reference halfway through a file, from which the samples are half as far.
     """
     t_s, panels = model.obs.t_s, model.panels
