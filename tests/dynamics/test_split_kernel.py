@@ -23,13 +23,13 @@ def start(omega, speeds) -> batch.Rows:
 def by_both_methods(monkeypatch, vehicle, initial, duration_s, command="coast"):
     """Seconds at each height by the split kernel and by the Taylor kernel, and which motions the first has left to the second."""
     left = []
-    choose = batch._split
+    choose = batch._count_by_split_kernel
 
     def note(*given):
         left.append(choose(*given))
         return left[0]
 
-    monkeypatch.setattr(batch, "_split", note)
+    monkeypatch.setattr(batch, "_count_by_split_kernel", note)
     fast = batch.sun_heights(vehicle, initial, duration_s, command=command).seconds
     exact = batch.sun_heights(vehicle, initial, duration_s, command=command, error=1e-6).seconds
     return fast, exact, left[0]

@@ -25,7 +25,7 @@ CORNERS = np.array(list(product((0, 1), repeat=3)))
 
 def corners_of(grid: RateGrid, cells: np.ndarray) -> np.ndarray:
     """Return the attitudes (n, 8, m, 4) at the corners of cells, with signs alike so that they can be interpolated."""
-    turn = grid.turn[grid.row_of[cells[:, None] + grid.away]].astype(np.float64)
+    turn = grid.quaternions[grid.row_of[cells[:, None] + grid.corner_offsets]].astype(np.float64)
     opposite = np.sum(turn * turn[:, :1], axis=-1, keepdims=True) < 0
     return np.where(opposite, -turn, turn)
 

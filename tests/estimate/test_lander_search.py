@@ -94,7 +94,7 @@ def test_attitudes_between_runs_are_those_of_runs(small_search):
     times = model.obs.t_s[reference.others]
     picked = np.random.default_rng(6).choice(np.flatnonzero(grid.row_of >= 0), 500)
     exact = attitudes(model, grid.rates(picked), times)
-    cosine = np.abs(np.sum(exact * grid.turn[grid.row_of[picked]], axis=-1))
+    cosine = np.abs(np.sum(exact * grid.quaternions[grid.row_of[picked]], axis=-1))
     off = 2 * np.arccos(np.minimum(cosine, 1.0))
     assert np.quantile(off, 0.97) < 0.1
     assert np.quantile(off, 0.9) < GRID.between_rad
@@ -272,7 +272,9 @@ def test_the_largest_rate_that_a_warning_advises_leaves_as_many_motions_as_are_f
     carrier._announce(6000, 2000, 5)
     (said,) = [record.getMessage() for record in caplog.records]
     assert "6000 motions may fit 5 samples; 2000 of them are followed" in said
-    assert 6000 * (smaller_rate(said) / reference.given) ** 3 == pytest.approx(2000, rel=0.1)
+    assert 6000 * (smaller_rate(said) / reference.prior_max_rate) ** 3 == pytest.approx(
+        2000, rel=0.1
+    )
 
 
 def test_a_long_search_for_starts_is_announced_with_a_rate_that_shortens_it_to_a_minute(caplog):
@@ -283,4 +285,6 @@ def test_a_long_search_for_starts_is_announced_with_a_rate_that_shortens_it_to_a
     shooting(edge=reference.limit / 150)[0].announce_starts()
     (said,) = [record.getMessage() for record in caplog.records]
     minutes = float(said.split("about ")[1].split()[0])
-    assert minutes * (smaller_rate(said) / reference.given) ** 3 == pytest.approx(1.0, rel=0.1)
+    assert minutes * (smaller_rate(said) / reference.prior_max_rate) ** 3 == pytest.approx(
+        1.0, rel=0.1
+    )

@@ -9,7 +9,7 @@ from sunspin.vehicle import Vehicle
 
 
 def main() -> None:
-    """Compute one motion, one histogram and one step of `rates`, for which everything is compiled and kept."""
+    """Compute one motion, one histogram and one step of `rates`, so that everything is compiled and stored on disk."""
     body = Vehicle("body", np.diag([1.0, 1.2, 0.8]))
     start = batch.Rows(np.full((1, 3), 0.1), np.array([[0.0, 0.0, 1.0]]), np.zeros((1, 0)))
     batch.run(body, start, 1.0)

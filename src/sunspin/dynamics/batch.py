@@ -1,7 +1,8 @@
-"""Many motions of a vehicle at once: states at given times, forward or backward, or how long the Sun stands at each height.
+"""Many motions of a vehicle at once: states at given times, forward or backward, or histograms of r_z, the Sun's height.
 
-A motion depends on its own initial state and on what is asked for, never on its neighbours, on threads, or on how many are
-computed in one call.
+Two compiled kernels compute them: one by Taylor series, which does everything, and the split kernel, which is faster but gives
+histograms only (:mod:`sunspin.dynamics.kernels`). A motion depends on its own initial state and on the arguments of the call, never
+on its neighbours, on threads, or on how many motions are computed in one call.
 """
 
 from __future__ import annotations
@@ -15,13 +16,13 @@ import numpy as np
 import numpy.typing as npt
 
 from sunspin.base.errors import InputError, MotionError
-from sunspin.dynamics import gyrostat as g
 from sunspin.dynamics import principal
-from sunspin.dynamics import wheel_modes as m
 from sunspin.dynamics.bodies import Bodies
+from sunspin.dynamics.gyrostat import axial_momenta, free_inertia, total_momentum
 from sunspin.dynamics.kernels import histogram, motions, rows, split
 from sunspin.dynamics.kernels.histogram import new_nodes
 from sunspin.dynamics.torques import NOTHING, Acting
+from sunspin.dynamics.wheel_modes import friction_limit, schedules
 from sunspin.solve.linear import extreme_eigenvalues, symmetric_inverse, symmetric_product
 from sunspin.vehicle import Vehicle
 from sunspin.vehicle.response.planes import DirectionSet
@@ -33,37 +34,39 @@ EMD_ERROR = 1e-3
 """Default error of the EMD of a histogram."""
 
 SMALLEST_EMD_ERROR = 2e-4
-"""Below it the bins, and the three points that stand for a way between nodes, set a limit."""
+"""Smaller errors cannot be met: the width of the bins and the method of :mod:`~sunspin.dynamics.kernels.histogram` limit them."""
 
 NODE_ANGLE = 0.9
-"""rad rotated between nodes of a histogram where an EMD may err by EMD_ERROR; the error goes with its third power."""
+"""Rotation (rad) between the points of a motion from which a histogram is made (nodes), if the EMD may err by EMD_ERROR. The error
+is in proportion to its third power."""
 
 PHASE_ERROR = 1e-2
-"""Error of the direction at the end (rad) where an EMD may err by EMD_ERROR: the same path, run through early or late."""
+"""Error of the Sun's direction at the end (rad), if the EMD may err by EMD_ERROR. It may be large, because it is mostly one along
+the path of the Sun, which changes the histogram little."""
 
 SPLIT_PHASE_ERROR = 0.1
-"""The same (rad) for the split kernel, whose motions near an unstable spin are computed again."""
+"""The same (rad) for the split kernel. Motions near an unstable spin, where it would not be enough, are computed again."""
 
 SPLIT_ADVANTAGE = 5.0
 """How many steps of the split kernel cost as much as one of the Taylor kernel."""
 
 SMALLEST_DIRECTION_ERROR = 1e-11
-"""What double precision can promise over some thousand radians."""
+"""What double precision reaches over some thousand radians."""
 
 SAFETY = 1 / 300
-"""Share of the allowed error that the law of steps may use up: motions near an unstable spin multiply what is left out."""
+"""Share of the allowed error for which steps are chosen: motions near an unstable spin amplify the errors of earlier steps."""
 
 LOOSE_ERROR = 1e-7
-"""Error of a whole run, times :data:`SAFETY`, above which a lower order is faster."""
+"""Error of a whole run, :data:`SAFETY` included, above which a series of lower order is faster."""
 
 MOST_EVENTS = 2000
 """Events of wheels in one motion; more means that a wheel chatters."""
 
 MAX_STEPS = 2_000_000
-"""Steps of one motion, some seconds of computing and a thousand times what 45 min of tumbling take: more is a slip of units."""
+"""Steps of one motion, some seconds of computing and a thousand times what 45 min of tumbling take. More is a wrong unit."""
 
 RADIANS_A_STEP = 2.0
-"""About what a body turns in a step: only the refusal of motions that are far too long depends on it."""
+"""About how far a body rotates in a step: only the refusal of motions that are far too long depends on it."""
 
 
 class Outcome(IntEnum):
@@ -85,9 +88,9 @@ OUTCOME_TEXT = {
 
 @dataclass(frozen=True)
 class Rows:
-    """Initial states of n motions: omega_B (n, 3) rad/s, sun_B (n, 3), wheel speeds (n, n_wheel) rad/s.
+    """Initial states of n motions: `omega_B` (n, 3) rad/s, `sun_B` (n, 3), `wheel_speed_rad_s` (n, n_wheel).
 
-    `bodies` gives each its own inertia and friction, leading shape (n,); without it all have the vehicle's. `B_from_N` (n, 4),
+    `bodies` has the inertia and friction of each motion, leading shape (n,); without it all have the vehicle's. `B_from_N` (n, 4),
     quaternions with the scalar last, is needed by torques that depend on directions other than the Sun's.
     """
 
@@ -98,11 +101,11 @@ class Rows:
     B_from_N: np.ndarray | None = None
 
     def __len__(self) -> int:
-        """Return n."""
+        """Return the number of motions."""
         return len(self.omega_B)
 
     def take(self, index: np.ndarray) -> Rows:
-        """Return the rows of these numbers."""
+        """Return the initial states of the motions `index`."""
         bodies = None if self.bodies is None else self.bodies.take(index)
         attitude = None if self.B_from_N is None else self.B_from_N[index]
         return Rows(
@@ -110,17 +113,18 @@ class Rows:
         )
 
     def bodies_of(self, vehicle: Vehicle) -> Bodies:
-        """Return the bodies of the rows, leading shape (n,) or, where all have the same, (1,)."""
+        """Return the bodies of the motions, leading shape (n,) or, if all have that of the vehicle, (1,)."""
         return Bodies.of(vehicle, 1) if self.bodies is None else self.bodies
 
 
 @dataclass(frozen=True)
 class Motion:
-    """States of n motions at n_out times, in body axes; NaN after a motion whose `outcome` is not FINE has ended.
+    """Computed states of n motions at n_out times, in body axes.
 
-    `outcome` (n); `events` (n, most, 3): time (s), number of the wheel and what it does (codes in :mod:`kernels.rows`), the first
-    `n_events` (n) of each; `steps` (n); `last` (n, size): state where the motion ended; `seconds` (n, bins): how long the Sun stood
-    at each height, (n, 0) unless this was counted.
+    `states` (n, n_out, size): read them through the properties below; NaN after a motion whose `outcome` is not FINE has ended.
+    `last` (n, size): the state where the motion ended. `outcome` (n). `events` (n, room, 3): time (s), number of the wheel and what
+    it does (codes in :mod:`kernels.rows`), of which the first `n_events` (n) count. `steps` (n): number of integration steps.
+    `seconds` (n, bins): how long the Sun stood at each height, (n, 0) unless this was counted.
     """
 
     states: np.ndarray
@@ -138,41 +142,41 @@ class Motion:
 
     @property
     def momentum_B(self) -> np.ndarray:
-        """H (n, n_out, 3) in N m s."""
+        """Return the angular momentum H (n, n_out, 3) in N m s."""
         return self.states[..., :3]
 
     @property
     def axial_momenta(self) -> np.ndarray:
-        """Return h (n, n_out, n_wheel) in N m s."""
+        """Return the axial momentum h of each wheel (n, n_out, n_wheel) in N m s."""
         return self.states[..., 3 : 3 + self.n_wheels]
 
     @property
     def sun_B(self) -> np.ndarray:
-        """Direction to the Sun (n, n_out, 3)."""
+        """Return the direction to the Sun (n, n_out, 3)."""
         return self.states[..., 3 + self.n_wheels : 6 + self.n_wheels]
 
     @property
     def omega_B(self) -> np.ndarray:
-        """Body rates (n, n_out, 3) in rad/s."""
+        """Return the body rates (n, n_out, 3) in rad/s."""
         return self.states[..., 6 + self.n_wheels : 9 + self.n_wheels]
 
     @property
     def wheel_speed_rad_s(self) -> np.ndarray:
-        """Speeds relative to the body (n, n_out, n_wheel); exactly zero where friction holds the wheel."""
+        """Return the wheel speeds relative to the body (n, n_out, n_wheel); exactly zero while friction holds a wheel."""
         return self.states[..., 9 + self.n_wheels : 9 + 2 * self.n_wheels]
 
     @property
     def attitude(self) -> np.ndarray:
-        """Rotation matrices (n, n_out, 3, 3) to B from the body's axes at the start, if `run` was to compute them."""
+        """Return the rotation matrices (n, n_out, 3, 3) to B from the body's axes at the start, if `run` was to compute them."""
         x, y = self.states[..., -6:-3], self.states[..., -3:]
         return np.stack([x, y, np.cross(x, y)], axis=-1)
 
 
 @dataclass(frozen=True)
 class Heights:
-    """How long the Sun stood at each height over n bodies: `seconds` (n, bins) by r_z over [-1, 1], as far as it counts.
+    """How long the Sun stood at each height in n motions: `seconds` (n, bins) in bins of r_z over [-1, 1].
 
-    `outcome` (n).
+    Only times at which its direction counts are included (`counted` of :func:`sun_heights`). `outcome` (n).
     """
 
     seconds: np.ndarray
@@ -180,8 +184,8 @@ class Heights:
 
 
 def one_command(vehicle: Vehicle, command: str | Sequence[str]) -> tuple[str, ...]:
-    """Return one constant command for each wheel; `InputError` for a schedule, `MotionError` for what is no command."""
-    plan = m.schedules(vehicle, command)
+    """Return one constant command for each wheel; `InputError` for a schedule, `MotionError` for an unknown command."""
+    plan = schedules(vehicle, command)
     if any(len(schedule) > 1 for schedule in plan):
         raise InputError(
             "an ensemble runs with one command per wheel", got=command, do="chain two runs"
@@ -200,7 +204,7 @@ def run(
     attitude: bool = False,
     leave_long: bool = False,
 ) -> Motion:
-    """Return the motions that begin in these states, at the times `times_s` (n_out) after the start.
+    """Return the states, at the times `times_s` after the start, of the motions that begin in `initial`.
 
     Parameters
     ----------
@@ -238,7 +242,7 @@ def run(
         require_followable(problem, float(ends[-1]))
     motion = advance(problem, ends, SAFETY * error, attitude)
     if ends[-1] < 0:
-        # friction that holds a wheel forgets how it came to rest
+        # a wheel that friction holds at rest may have stopped at any time before
         motion.outcome[problem.at_rest] = Outcome.PAST_UNKNOWN
     return motion
 
@@ -255,7 +259,7 @@ def sun_heights(
     emd_error: float | None = None,
     acting: Acting = NOTHING,
 ) -> Heights:
-    """Return how long the Sun stands at each height r_z over the bodies, in motions that begin in these states.
+    """Return how long the Sun stands at each height r_z, in motions that begin in `initial`.
 
     Parameters
     ----------
@@ -278,31 +282,32 @@ def sun_heights(
     check_errors(error, emd_error)
     problem = Problem(vehicle, initial, one_command(vehicle, command), acting)
     require_followable(problem, duration_s)
-    share = 1.0 if emd_error is None else emd_error / EMD_ERROR
-    wanted = PHASE_ERROR * share if error is None else error
-    tolerance = NODE_ANGLE * min(1.0, share) ** (1 / 3)
+    # the errors for which PHASE_ERROR and NODE_ANGLE were set are scaled to the one asked for
+    ratio = 1.0 if emd_error is None else emd_error / EMD_ERROR
+    phase_error = PHASE_ERROR * ratio if error is None else error
+    tolerance = NODE_ANGLE * min(1.0, ratio) ** (1 / 3)
     nodes = new_nodes(*half_spaces(counted), tolerance, bins)
     n = len(initial)
     seconds, outcome = np.zeros((n, bins), np.float32), np.zeros(n, dtype=np.int64)
-    again = np.arange(n)
-    if error is None and share >= 1.0:
-        again = _split(problem, duration_s, nodes, seconds)
-    if again.size:
-        some = replace(problem, initial=initial.take(again))
-        motion = advance(some, np.array([duration_s]), SAFETY * wanted, nodes=nodes)
-        seconds[again], outcome[again] = motion.seconds, motion.outcome
+    remaining = np.arange(n)
+    if error is None and ratio >= 1.0:
+        remaining = _count_by_split_kernel(problem, duration_s, nodes, seconds)
+    if remaining.size:
+        rest = replace(problem, initial=initial.take(remaining))
+        motion = advance(rest, np.array([duration_s]), SAFETY * phase_error, nodes=nodes)
+        seconds[remaining], outcome[remaining] = motion.seconds, motion.outcome
     if duration_s < 0:
         outcome[problem.at_rest] = Outcome.PAST_UNKNOWN
     return Heights(seconds, outcome)
 
 
-def _split(
+def _count_by_split_kernel(
     problem: Problem, duration_s: float, nodes: histogram.Nodes, seconds: np.ndarray
 ) -> np.ndarray:
-    """Write into `seconds` (n, bins) the histograms of motions for which the split kernel is good and fast; return the others.
+    """Write into `seconds` (n, bins) the histograms of motions that suit the split kernel; return the indices of the others.
 
-    It is good for motions with one body, without torques, forward in time. It needs many steps where moments of inertia differ much
-    or wheels turn fast; then the Taylor kernel takes less time.
+    It computes motions with one body, without torques, forward in time. It needs many steps if moments of inertia differ much or
+    wheels turn fast; then the Taylor kernel takes less time. It also reports motions that it cannot compute well.
     """
     every = np.arange(len(problem.initial))
     if problem.acting.torques or problem.initial.bodies is not None or not duration_s > 0:
@@ -310,28 +315,33 @@ def _split(
     arrays, bodies = problem.in_arrays(), problem.bodies
     omega, speeds = arrays.omega_B, arrays.speeds
     with np.errstate(over="ignore", invalid="ignore"):
-        momentum = g.total_momentum(bodies, omega, speeds)
+        momentum = total_momentum(bodies, omega, speeds)
         size = np.linalg.norm(momentum, axis=1)
-        axial = g.axial_momenta(bodies, omega, speeds)
-        later = symmetric_product(problem.modes[:, 0, 1:], momentum)  # all wheels at rest
+        axial = axial_momenta(bodies, omega, speeds)
+        # mean of the rates at the start and once all wheels have come to rest
+        later = symmetric_product(problem.modes[:, 0, 1:], momentum)
         rate = 0.5 * (np.linalg.norm(omega, axis=1) + np.linalg.norm(later, axis=1))
         frame = principal.frames(problem.vehicle, bodies)
+        # steps of either kernel, at least those that the nodes of the histogram need
         ways = np.maximum(rate * duration_s / nodes.tolerance, histogram.MIN_WAYS)
         steps = principal.split_steps(bodies, frame, (size, axial), duration_s, SPLIT_PHASE_ERROR)
         steps = np.ceil(np.maximum(steps, ways / split.WAYS))
         by_series = np.maximum(rate * duration_s / RADIANS_A_STEP, histogram.MIN_WAYS / 3)
-        chosen = np.flatnonzero(steps < SPLIT_ADVANTAGE * by_series)  # not of numbers that are none
-    some = arrays._replace(omega_B=omega[chosen], sun_B=arrays.sun_B[chosen], speeds=speeds[chosen])
-    answer = split.run(some, steps[chosen], duration_s, plain(frame), nodes)
+        # a comparison with NaN is false: states that are not finite are left to the Taylor kernel
+        chosen = np.flatnonzero(steps < SPLIT_ADVANTAGE * by_series)
+    of_chosen = arrays._replace(
+        omega_B=omega[chosen], sun_B=arrays.sun_B[chosen], speeds=speeds[chosen]
+    )
+    answer = split.run(of_chosen, steps[chosen], duration_s, plain(frame), nodes)
     seconds[chosen] = answer.hist
     return np.setdiff1d(every, chosen[~answer.again])
 
 
 def half_spaces(counted: DirectionSet | None) -> tuple[np.ndarray, np.ndarray]:
-    """Return the conditions of a set of directions as the kernels read them: normals (n, 3), and where each clause ends.
+    """Return the conditions of a set of directions as the kernels read them: normals (n, 3), and where each clause ends (n_clause).
 
-    Each clause has an even number of them, the last twice if need be. A clause without conditions holds everywhere; without a set
-    all directions count.
+    A direction counts if in some clause its products with all normals are positive. Each clause has an even number of normals, the
+    last one twice if need be. Both arrays are empty if all directions count: without a set, or if a clause has no conditions.
     """
     nothing = np.zeros((0, 3)), np.zeros(0, dtype=np.int64)
     if counted is None or any(not clause for clause in counted.clauses):
@@ -346,7 +356,7 @@ def half_spaces(counted: DirectionSet | None) -> tuple[np.ndarray, np.ndarray]:
 
 
 def check_errors(error: float | None, emd_error: float | None) -> None:
-    """Refuse errors that cannot be met, and both at once."""
+    """Raise InputError for an error that cannot be met, and if both are given."""
     if error is not None and emd_error is not None:
         raise InputError(
             "ask for an error of the direction or of the EMD", got="both", do="give one of them"
@@ -361,7 +371,7 @@ def check_errors(error: float | None, emd_error: float | None) -> None:
 
 @dataclass(frozen=True)
 class Problem:
-    """Motions to be computed: a vehicle, initial states, one command per wheel, and the torques that act."""
+    """Motions to be computed: a vehicle, n initial states, one command per wheel, and the torques that act."""
 
     vehicle: Vehicle
     initial: Rows
@@ -369,7 +379,7 @@ class Problem:
     acting: Acting = NOTHING
 
     def __post_init__(self) -> None:
-        """Refuse more wheels than the kernels have room for."""
+        """Raise MotionError for more wheels than the kernels have room for."""
         n_wheels = len(self.vehicle.wheels)
         if n_wheels > rows.WHEELS:
             raise MotionError(
@@ -378,54 +388,56 @@ class Problem:
 
     @cached_property
     def bodies(self) -> Bodies:
-        """Numbers of the bodies, leading shape (n,) or (1,)."""
+        """Return inertia and friction of the bodies, leading shape (n,) or (1,)."""
         return self.initial.bodies_of(self.vehicle)
 
     @cached_property
     def speeds(self) -> np.ndarray:
-        """Wheel speeds at the start (n, n_wheel), rad/s."""
+        """Return the wheel speeds at the start (n, n_wheel), rad/s."""
         speeds = np.asarray(self.initial.wheel_speed_rad_s, dtype=np.float64)
         return np.ascontiguousarray(speeds.reshape(len(self.initial), len(self.vehicle.wheels)))
 
     @cached_property
     def driven(self) -> np.ndarray:
-        """Whether a motor holds the speed of each wheel (n_wheel)."""
+        """Return whether a motor holds the speed of each wheel (n_wheel)."""
         return np.array([command == "hold" for command in self.commands], dtype=bool)
 
     @cached_property
     def dry(self) -> np.ndarray:
-        """Limit of dry friction and brake (n or 1, n_wheel), N m."""
+        """Return the limit of dry friction and brake of each wheel (n or 1, n_wheel), N m."""
         limits = np.array(self.bodies.coulomb_N_m, dtype=np.float64)
         for i, (wheel, command) in enumerate(zip(self.vehicle.wheels, self.commands, strict=True)):
-            limits[:, i] = m.friction_limit(wheel, command, limits[:, i])
+            limits[:, i] = friction_limit(wheel, command, limits[:, i])
         return limits
 
     @property
     def at_rest(self) -> np.ndarray:
-        """Whether a wheel of each motion begins at rest where friction may hold it (n)."""
+        """Return whether any wheel of each motion (n) begins at rest and may be held there by friction."""
         return ((self.speeds == 0) & (self.dry > 0) & ~self.driven).any(axis=-1)
 
     @cached_property
     def modes(self) -> np.ndarray:
-        """For every set of free wheels (n or 1, 2^n_wheel, 7): the share of H that is left out of omega, and A^-1.
+        """Return what depends on which wheels turn freely, for every set of them: (n or 1, 2^n_wheel, 7).
 
-        The share, 1/(kg m2), is half way between the extreme 1 / moments: what is left is then slowest.
+        First the factor c, 1/(kg m2), of the part c H of omega that the Taylor kernel treats apart
+        (:mod:`~sunspin.dynamics.kernels.flow`); then the six elements of A^-1. c is half way between the extreme 1 / moments, so
+        that the rest of omega is slowest.
         """
         sets = principal.free_sets(len(self.vehicle.wheels))
-        free = np.stack([g.free_inertia(self.bodies, free) for free in sets], axis=1)
-        smallest, largest = extreme_eigenvalues(free)
+        inertia = np.stack([free_inertia(self.bodies, free) for free in sets], axis=1)
+        smallest, largest = extreme_eigenvalues(inertia)
         share = 0.5 / smallest + 0.5 / largest
-        return np.concatenate([share[..., None], symmetric_inverse(free)], axis=-1)
+        return np.concatenate([share[..., None], symmetric_inverse(inertia)], axis=-1)
 
     @property
     def torques(self) -> int:
-        """Which torques act: the code of :mod:`kernels.rows`."""
+        """Return which torques act, as a code of :mod:`kernels.rows`."""
         if self.acting.needs_attitude:
             return rows.GRADIENT
         return rows.STEADY if self.acting.torques else rows.NO_TORQUE
 
     def nadir(self) -> np.ndarray:
-        """Return the nadir and its rate of turning (n, 2, 3), body axes at the start; zero (1, 2, 3) if no torque needs them."""
+        """Return the nadir and its rate of rotation (n, 2, 3), body axes at the start; zero (1, 2, 3) if no torque needs them."""
         if self.torques != rows.GRADIENT:
             return np.zeros((1, 2, 3))
         if self.initial.B_from_N is None:
@@ -439,7 +451,7 @@ class Problem:
         return self.acting.nadir_B(matrices, self.acting.start_s).reshape(-1, 2, 3)
 
     def in_arrays(self) -> rows.Motions:
-        """Return the arrays of the kernels."""
+        """Return initial states and bodies as arrays for the kernels."""
         bodies = self.bodies
         wheels = np.stack([bodies.wheel_inertia_kg_m2, self.dry, bodies.viscous_N_m_s], axis=-1)
         return rows.Motions(
@@ -456,7 +468,7 @@ class Problem:
 
 
 def plain(values: npt.ArrayLike) -> np.ndarray:
-    """Return float64 values in one block that can be written: for arrays of another kind a kernel is compiled once more."""
+    """Return values as a contiguous, writable float64 array: for another kind a kernel would be compiled once more."""
     return np.require(values, np.float64, ["C", "W"])
 
 
@@ -468,70 +480,60 @@ def advance(
     room: int = 0,
     nodes: histogram.Nodes | None = None,
 ) -> Motion:
-    """Run the Taylor kernel over motions to the times `ends`, with `error` in units of |H| and of a direction over the run.
+    """Compute motions with the Taylor kernel, without the checks of :func:`run`.
 
-    If there is `room` for events, they are kept, and a motion with more ends there; with `nodes`, heights of the Sun are counted.
-    Nothing is checked; `run` does.
+    `ends` (n_out): output times, s after the start. `error`: of H as a part of |H|, and of directions (rad), at the last time.
+    `room`: number of wheel events to keep; a motion with more ends there. 0: none are kept. With `nodes`, a histogram of the Sun's
+    height is counted.
     """
     n, n_wheels = len(problem.initial), len(problem.vehicle.wheels)
     size = 9 + 2 * n_wheels + (6 if attitude else 0)
     arrays = problem.in_arrays()
     if nodes is not None and problem.torques:
-        # nodes turn directions about H, which torques move: nothing is left out of omega
+        # a histogram rotates directions about H, which torques move: no part of omega is treated apart
         arrays.modes[..., 0] = 0.0
     duration = abs(float(ends[-1]))
+    # order 14 takes 6 to 9 % less time than 17 for directions to 1e-4 or 1e-3 rad; a histogram needs short steps in any case
+    precise = 17 if error > 1e-9 else 20
     task = rows.Task(
-        plain(ends),
-        order_for(error, nodes is not None),
-        error / duration if duration else 1.0,
-        problem.torques,
-        attitude,
-        room or MOST_EVENTS,
-        MAX_STEPS,
+        ends=plain(ends),
+        order=14 if error > LOOSE_ERROR and nodes is None else precise,
+        allowed=error / duration if duration else 1.0,
+        torques=problem.torques,
+        attitude=attitude,
+        most_events=room or MOST_EVENTS,
+        most_steps=MAX_STEPS,
     )
+    bins = 0 if nodes is None else len(nodes.hist) // rows.L
     answer = rows.Answer(
-        np.zeros((n, len(ends), size)),
-        np.zeros((n, size)),
-        np.zeros(n, dtype=np.int64),
-        np.zeros((n, room, 3)),
-        np.zeros(n, dtype=np.int64),
-        np.zeros(n, dtype=np.int64),
-        np.zeros((n, 0 if nodes is None else len(nodes.hist) // rows.L), dtype=np.float32),
+        states=np.zeros((n, len(ends), size)),
+        last=np.zeros((n, size)),
+        outcome=np.zeros(n, dtype=np.int64),
+        events=np.zeros((n, room, 3)),
+        n_events=np.zeros(n, dtype=np.int64),
+        steps=np.zeros(n, dtype=np.int64),
+        hist=np.zeros((n, bins), dtype=np.float32),
     )
+    # the order in which the kernel takes the motions, fast ones first, as they need most steps; and how many it has taken
+    speed = np.nan_to_num(np.abs(arrays.omega_B).sum(axis=1))
+    queue = np.append(np.argsort(-speed, kind="stable"), 0)
     work = new_nodes(*half_spaces(None), 1.0, 0) if nodes is None else nodes
-    motions.run(longest_first(arrays.omega_B), arrays, task, answer, work)
+    motions.run(queue, arrays, task, answer, work)
     return Motion(*answer, n_wheels)
 
 
-def order_for(error: float, with_heights: bool) -> int:
-    """Return the order of the Taylor series that is fastest for an error of the whole run.
-
-    Order 14 takes 6 to 9 % less time than 17 for directions to 1e-4 or 1e-3 rad. Heights of the Sun need short steps in any case.
-    """
-    if error > LOOSE_ERROR and not with_heights:
-        return 14
-    return 17 if error > 1e-9 else 20
-
-
-def longest_first(omega_B: np.ndarray) -> np.ndarray:
-    """Return the queue of the kernels (n + 1): fast motions, which take most steps, first, and how many have been taken, none.
-
-    A lane that has ended its motion takes the next: the last to end are then short.
-    """
-    speed = np.nan_to_num(np.abs(omega_B).sum(axis=1))
-    return np.append(np.argsort(-speed, kind="stable"), 0)
-
-
 def steps_needed(problem: Problem, duration_s: float) -> tuple[float, float]:
-    """Return about how many steps the longest of the motions takes, and the rate (rad/s) at which it turns.
+    """Return about how many steps the longest of the motions takes, and its rate of rotation (rad/s).
 
-    The rate is that of the body, now or once the wheels' momentum is the body's, and of what the wheels turn round.
+    The rate is that at the start or, if larger, that once the wheels' momentum is the body's. The rate of the nutation that each
+    wheel causes is added.
     """
     bodies, omega = problem.bodies, problem.initial.omega_B
     with np.errstate(over="ignore", invalid="ignore"):
-        momentum = g.total_momentum(bodies, omega, problem.speeds)
+        momentum = total_momentum(bodies, omega, problem.speeds)
         rate = problem.modes[:, 0, 0] * np.linalg.norm(momentum, axis=-1)
         rate = np.maximum(np.linalg.norm(omega, axis=1), rate)
+        # a wheel's momentum h u turns omega about itself by about |A^-1 u| h
         for i, axis in enumerate(bodies.axes_B):
             response = symmetric_product(problem.modes[:, -1, 1:], axis)
             spin = bodies.wheel_inertia_kg_m2[:, i] * np.abs(problem.speeds[:, i])
@@ -541,7 +543,7 @@ def steps_needed(problem: Problem, duration_s: float) -> tuple[float, float]:
 
 
 def require_followable(problem: Problem, duration_s: float) -> None:
-    """Refuse motions that turn so far that they would take more than `MAX_STEPS` steps."""
+    """Raise MotionError for motions that would take more than `MAX_STEPS` steps."""
     steps, rate = steps_needed(problem, duration_s)
     if steps > MAX_STEPS:
         raise MotionError(

@@ -14,9 +14,9 @@ from sunspin.vehicle import Vehicle
 class Bodies:
     """Inertia and friction of the same vehicle in n variants (leading shape (n,)), or of the vehicle as it is (leading shape ()).
 
-    inertia_kg_m2 (..., 3, 3), locked; wheel_inertia_kg_m2 (..., n_wheel), axial; coulomb_N_m and viscous_N_m_s (..., n_wheel).
-    The directions of the wheels' axes, axes_B (n_wheel, 3), are the same in all variants. `steady_N_m` (..., 2, 3): steady torques
-    that they bring with them (:class:`sunspin.dynamics.torques.Steady`).
+    `inertia_kg_m2` (..., 3, 3): of the body with its wheels locked; `wheel_inertia_kg_m2` (..., n_wheel): axial; `coulomb_N_m` and
+    `viscous_N_m_s` (..., n_wheel): friction of the wheels. `steady_N_m` (..., 2, 3): steady torques that act on each variant
+    (:class:`sunspin.dynamics.torques.Steady`). The directions of the wheels' axes, `axes_B` (n_wheel, 3), are the same in all.
     """
 
     inertia_kg_m2: np.ndarray
@@ -28,7 +28,10 @@ class Bodies:
 
     @classmethod
     def of(cls, vehicle: Vehicle | Bodies, n: int | None = None) -> Bodies:
-        """The vehicle's own numbers, `n` times over or (None) once, without a leading dimension."""
+        """Return the numbers of a vehicle: `n` equal variants or, for None, one without a leading dimension.
+
+        :class:`Bodies` are returned as they are, so that functions can take either.
+        """
         if isinstance(vehicle, Bodies):
             return vehicle
         wheels = vehicle.wheels
@@ -44,31 +47,31 @@ class Bodies:
 
     @classmethod
     def rigid(cls, inertia_kg_m2: np.ndarray) -> Bodies:
-        """Bodies (...) without wheels."""
-        none = np.zeros((*inertia_kg_m2.shape[:-2], 0))
-        still = np.zeros((*inertia_kg_m2.shape[:-2], 2, 3))
-        return cls(inertia_kg_m2, none, none, none, still, np.zeros((0, 3)))
+        """Return bodies (...) with these inertias (..., 3, 3), without wheels and steady torques."""
+        no_wheel = np.zeros((*inertia_kg_m2.shape[:-2], 0))
+        no_torque = np.zeros((*inertia_kg_m2.shape[:-2], 2, 3))
+        return cls(inertia_kg_m2, no_wheel, no_wheel, no_wheel, no_torque, np.zeros((0, 3)))
 
     @classmethod
     def stack(cls, vehicles: Sequence[Vehicle | Bodies]) -> Bodies:
-        """The numbers of vehicles (n) that differ in inertia and friction only."""
+        """Return n vehicles that differ only in inertia and friction as n variants."""
         variants = [cls.of(vehicle) for vehicle in vehicles]
-        names = [field.name for field in fields(cls)[:-1]]
+        names = [field.name for field in fields(cls)[:-1]]  # all but `axes_B`
         return replace(
             variants[0],
             **{name: np.stack([getattr(body, name) for body in variants]) for name in names},
         )
 
     def take(self, index: np.ndarray) -> Bodies:
-        """The variants of these numbers; a single one is repeated."""
+        """Return the variants `index`; bodies without a leading dimension count as one variant."""
         changes = {}
-        for field in fields(self)[:-1]:
+        for field in fields(self)[:-1]:  # all but `axes_B`
             value = getattr(self, field.name)
             changes[field.name] = (value[None] if not self.shape else value)[index]
         return replace(self, **changes)
 
     def vehicle(self, vehicle: Vehicle, row: int) -> Vehicle:
-        """`vehicle` with the inertia and friction of one of the variants."""
+        """Return `vehicle` with the inertia and friction of the variant `row`."""
         wheels = tuple(
             replace(
                 wheel,
@@ -85,9 +88,10 @@ class Bodies:
 
     @property
     def shape(self) -> tuple[int, ...]:
-        """() or (n,)."""
+        """Return the leading shape of the variants: () or (n,)."""
         return self.inertia_kg_m2.shape[:-2]
 
     @property
     def n_wheels(self) -> int:
+        """Return the number of wheels."""
         return len(self.axes_B)

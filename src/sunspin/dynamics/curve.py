@@ -1,4 +1,4 @@
-"""A simulated motion between its output times, so close that an interpolation cannot take the wrong way round."""
+"""A simulated motion at instants between its output times, so close that interpolation does not miss a part of a rotation."""
 
 from __future__ import annotations
 
@@ -10,35 +10,35 @@ import xarray as xr
 from sunspin.solve.rotations import matrix_from_quaternion
 
 CURVE_RAD = 0.45
-"""Largest rotation of the body, and of its rate under the momentum of wheels, between instants of a curve, rad: below 30 degrees.
-Cubics through attitudes and rates are then off by at most 0.002 degrees (ten tumbling bodies), a line between two rates by 2.5 % of
-what nutates."""
+"""Largest rotation of the body, and of its rate by nutation, between instants of a curve, rad: below 30 degrees. Cubics through
+attitudes and rates are then off by at most 0.002 degrees (ten tumbling bodies), a line between two rates by 2.5 % of the part that
+nutates."""
 
 UNSEEN_RAD = 1e-3
-"""Nutation is not followed if the rate, whatever its direction, turns the body by less than this in an interval."""
+"""Nutation is not followed if the body rotates by less than this, rad, in every interval."""
 
 MOST_INSTANTS = 500_000
 """Instants of a curve: 150 MB while they are computed and 32 MB in the file, 59 hours at 60 deg/s."""
 
 ROUNDS = 8
-"""Times that a curve is refined. A tumbling body needs two to four: its rate is known only where it was computed."""
+"""Most times that a curve is refined. A tumbling body needs two to four: its rate is known only where it was computed."""
 
 
 def rotations(t_s: np.ndarray, omega_B: np.ndarray, attitude: np.ndarray) -> np.ndarray:
     """Return by how much the body rotates (n - 1), rad, between times `t_s` (n) with rates (n, 3) and quaternions (n, 4).
 
-    The rate at either end tells of whole revolutions, which the attitudes cannot.
+    It is the larger one of the angle between the attitudes, which leaves out whole revolutions, and of rate times interval.
     """
     speed = np.linalg.norm(omega_B, axis=1)
     cosine = np.abs(np.einsum("ni,ni->n", attitude[1:], attitude[:-1]))
-    seen = 2 * np.arccos(np.minimum(cosine, 1.0))
-    return np.maximum(seen, np.maximum(speed[1:], speed[:-1]) * np.abs(np.diff(t_s)))
+    between_attitudes = 2 * np.arccos(np.minimum(cosine, 1.0))
+    return np.maximum(between_attitudes, np.maximum(speed[1:], speed[:-1]) * np.abs(np.diff(t_s)))
 
 
 def with_curve(
     run: xr.Dataset, inertia: np.ndarray, motion: Callable[[np.ndarray], xr.Dataset]
 ) -> xr.Dataset:
-    """Return a trajectory with its motion between the output times, as results of `rates` have it.
+    """Return a trajectory with its motion between the output times, in variables `curve_...` as in results of `rates`.
 
     Parameters
     ----------
@@ -46,7 +46,7 @@ def with_curve(
         Result of :func:`sunspin.propagate`.
     inertia : (3, 3) kg m2
     motion : callable
-        Times (n) in the order of `run` -> the same motion at these times.
+        Function of times (n), in the order of `run`, that returns the same motion at these times.
 
     Returns
     -------
@@ -63,7 +63,8 @@ def with_curve(
         instants = instants[::-1]
     curve = run if instants.size == t.size else motion(instants)
     for _ in range(ROUNDS):
-        at, speed = curve["time"].values, _speed(curve, inertia)
+        at, speed = curve["time"].values, _fastest_rotation(curve, inertia)
+        # number of parts into which each interval has to be cut
         parts = np.ceil(np.maximum(speed[1:], speed[:-1]) * np.abs(np.diff(at)) / CURVE_RAD)
         if not np.any(parts > 1):
             break
@@ -71,8 +72,8 @@ def with_curve(
             return run
         parts = np.maximum(parts, 1).astype(int)
         share = np.concatenate([np.arange(n) / n for n in parts])
-        between = np.repeat(at[:-1], parts) + share * np.repeat(np.diff(at), parts)
-        curve = motion(np.append(between, at[-1]))
+        begins = np.repeat(at[:-1], parts) + share * np.repeat(np.diff(at), parts)
+        curve = motion(np.append(begins, at[-1]))
     if curve is run:
         return run
     return run.assign(
@@ -82,10 +83,10 @@ def with_curve(
 
 
 def along_curve(run: xr.Dataset) -> xr.Dataset:
-    """Return a motion of `propagate` on the times of its curve instead of its output times; `run` itself without a curve.
+    """Return a motion of `propagate` on the times of its curve instead of its output times; `run` itself if it has no curve.
 
-    A line between output times would take short cuts if the body rotates far in a step. The Sun is fixed in N. The angular
-    momentum in N is that of the output time before. Wheel speeds are interpolated between output times.
+    Figures need it: lines between output times would be wrong if the body rotates far in a step. The Sun is fixed in N. The angular
+    momentum in N is taken from the output time before. Wheel speeds are interpolated between output times.
     """
     if "curve_omega_B" not in run:
         return run
@@ -100,8 +101,8 @@ def along_curve(run: xr.Dataset) -> xr.Dataset:
         "sun_B": (("time", "axis"), attitude @ to_N[0] @ run["sun_B"].values[0]),
     }
     if "momentum_B" in run:
-        before = np.searchsorted(t, curve_t, side="right") - 1
-        momentum_N = np.einsum("nij,nj->ni", to_N, run["momentum_B"].values)[before]
+        last_output = np.searchsorted(t, curve_t, side="right") - 1
+        momentum_N = np.einsum("nij,nj->ni", to_N, run["momentum_B"].values)[last_output]
         momentum_B = np.einsum("nij,nj->ni", attitude, momentum_N)
         variables["momentum_B"] = (("time", "axis"), momentum_B)
     if run.sizes.get("wheel", 0):
@@ -114,15 +115,15 @@ def along_curve(run: xr.Dataset) -> xr.Dataset:
     return xr.Dataset(variables, coords=coords, attrs=run.attrs)
 
 
-def _speed(run: xr.Dataset, inertia: np.ndarray) -> np.ndarray:
-    """Return the speed (n), rad/s, at which the body rotates and the momentum of the wheels turns its rate round."""
+def _fastest_rotation(run: xr.Dataset, inertia: np.ndarray) -> np.ndarray:
+    """Return the rate (n), rad/s, of the body's rotation plus that of the nutation by its wheels, at the times of a trajectory."""
     omega = run["omega_B"].values
     longest_s = np.abs(np.diff(run["time"].values)).max(initial=0.0)
     wheels = run["momentum_B"].values - omega @ inertia
-    # under this momentum h, dw/dt = I^-1 (w x h), whose frequency is sqrt(h.I h / det I)
+    # with the momentum h of wheels, dw/dt = I^-1 (w x h): its frequency is sqrt(h.I h / det I)
     nutation = np.sqrt(np.einsum("ni,ij,nj->n", wheels, inertia, wheels) / np.linalg.det(inertia))
     speed = np.linalg.norm(omega, axis=1)
-    # a cubic takes the rates at both ends for its slopes: it misses by a part of the rotation in the interval, however small the
+    # a cubic takes the rates at both ends for its slopes: it errs by a part of the rotation in the interval, however small the
     # nutation's own amplitude is
-    seen = speed.max(initial=0.0) * longest_s > UNSEEN_RAD
-    return speed + np.where(seen, nutation, 0.0)
+    is_visible = speed.max(initial=0.0) * longest_s > UNSEEN_RAD
+    return speed + np.where(is_visible, nutation, 0.0)

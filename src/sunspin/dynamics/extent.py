@@ -1,4 +1,4 @@
-"""How long a trajectory may be: its output times, and how far it may turn."""
+"""Limits of a trajectory that the command line accepts: number of output times, and angle of rotation."""
 
 from __future__ import annotations
 
@@ -8,14 +8,17 @@ from sunspin.base.errors import InputError
 from sunspin.vehicle import Vehicle
 
 MAX_SAMPLES, BYTES_PER_SAMPLE = 2_000_000, 300
-"""Output times of one trajectory, and what one takes while it is computed and written."""
+"""Most output times of one trajectory, and the memory that each needs while it is computed and written."""
 
 MAX_ANGLE_RAD, SECONDS_PER_RAD = 1e6, 4e-6
-"""How far a trajectory may turn (a day at 10 rad/s), and the time that takes: beyond, a slip of units is likelier than a wish."""
+"""Largest angle of rotation in a trajectory (a day at 10 rad/s), and computing time of a radian. Beyond, a unit is likely wrong."""
 
 
 def output_times(duration: float, step: float) -> np.ndarray:
-    """Output times from 0 in steps to the duration, which is the last one whether or not it is a multiple of the step."""
+    """Return output times (n), s, from 0 in steps; the last is the duration, also if it is no multiple of the step.
+
+    A negative duration gives negative times. InputError for too many times, or if an argument is not finite.
+    """
     if not (np.isfinite(duration) and np.isfinite(step)):
         raise InputError(
             "--duration and --step must be finite", got=f"{duration} s in steps of {step} s"
@@ -33,11 +36,15 @@ def output_times(duration: float, step: float) -> np.ndarray:
 
 
 def check_work(vehicle: Vehicle, omega: list[float], speeds: list[float], duration: float) -> None:
-    """Refuse a trajectory that turns unreasonably far, with an estimate of the time."""
+    """Raise InputError if a trajectory may rotate farther than `MAX_ANGLE_RAD`, with an estimate of the computing time.
+
+    `omega` (3) and wheel `speeds` at the start in rad/s, `duration` in s.
+    """
     tensor = vehicle.require_inertia()
     if len(speeds) != len(vehicle.wheels):
-        return  # said better where the trajectory begins
+        return  # `propagate` raises an error that explains it
     with np.errstate(all="ignore"):
+        # the rate is at most |H| over the smallest moment, also after wheels have given their momentum to the body
         spins = sum(
             (
                 wheel.inertia_kg_m2 * s * wheel.axis_B

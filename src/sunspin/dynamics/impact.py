@@ -1,7 +1,7 @@
-"""A sticking impact of one point of the vehicle with the ground: a pure map from the state before to the state after.
+"""An inelastic impact of one point of the vehicle with the ground: the state after it, from the state before.
 
-The blow is short, so only the impulse F at the contact point l counts. A wheel that its bearing lets go keeps its
-inertial spin (friction has no time to act), one whose motor holds its speed turns with the body (paper, eqs. 8-11):
+The impact is short, so only the impulse F at the contact point l counts. A wheel that turns freely or with a brake keeps its
+inertial spin (friction has no time to act); one whose motor holds its speed rotates with the body (paper, eqs. 8-11):
 
     B d_omega = l x F      d_v = F / m      (omega + d_omega) x l + v + d_v = 0      d_W = -u.d_omega
 
@@ -9,14 +9,15 @@ with B the inertia less the axial inertia of the wheels that are not held. Elimi
 with the symmetric positive definite K = 1/m - [l] B^-1 [l], [l] the matrix of l x.
 
 Two numbers go beyond the paper. With a restitution e the impulse is 1 + e times this, and the point leaves at -e times the velocity
-at which it came (of the blow's energy 1 - e^2 is lost). With a damper d the landing gear yields along the body's z, as Philae's
-does: a share d of the impulse is replaced by the one without a component along z that stops the point in x and y alone. Both lose
-energy for any e and d from 0 to 1: it is a convex function of F, and is lost at both ends.
+at which it came. With a damper d the landing gear yields along the body's z, as Philae's does: the part d of it is replaced by
+the impulse without a z component that stops the point in x and y alone. No e and d from 0 to 1 increase the energy after the
+impact: it is a convex function of F, and is not larger than before at either end.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -41,7 +42,7 @@ def impact(
     restitution: float = 0.0,
     damper: float = 0.0,
 ) -> xr.Dataset:
-    """State after the end of a leg hits the ground and sticks for an instant (paper, eqs. 8-11).
+    """Return the state after the end of a leg hits the ground and sticks for an instant (paper, eqs. 8-11).
 
     Parameters
     ----------
@@ -57,12 +58,12 @@ def impact(
         Name of a leg, its position among `vehicle.legs` (one, or a NumPy array of integers for one per run), or any
         contact point of the vehicle, from the centre of mass in body axes.
     wheel_mode : "coast", "brake" or "hold", or one per wheel
-        "hold": the motor keeps the wheel's speed through the blow, and may do work. Else the wheel keeps its inertial
+        "hold": the motor keeps the wheel's speed during the impact, and may do work. Otherwise the wheel keeps its inertial
         spin.
     restitution : float
-        Speed at which the point leaves over that at which it came, 0 (it sticks, as in the paper) to 1.
+        Speed of the point after the impact over that before, 0 (it sticks, as in the paper) to 1.
     damper : float
-        Share of the blow that a landing gear yielding along z takes: 0 (rigid legs, as in the paper) to 1.
+        How far the landing gear yields along z: 0 (rigid legs, as in the paper) to 1.
 
     Returns
     -------
@@ -81,7 +82,7 @@ def impact(
     held = _held(vehicle, wheel_mode)
     shapes = (omega.shape[:-1], velocity.shape[:-1], tip.shape[:-1], speeds.shape[:-1])
     try:
-        batch = np.broadcast_shapes(*shapes)
+        batch_shape = np.broadcast_shapes(*shapes)
     except ValueError:
         raise InputError(
             "the leading shapes of rate, velocity, leg and wheel speed differ", got=shapes
@@ -90,45 +91,55 @@ def impact(
     for name, value in (("restitution", restitution), ("damper", damper)):
         if not 0 <= value <= 1:
             raise InputError(f"{name} must be a share between 0 and 1", got=value)
-    impulse = _impulse(inverse, vehicle.require_mass(), omega, velocity, tip, damper)
-    impulse = impulse if restitution == 0 else (1 + restitution) * impulse
-    kick = np.cross(tip, impulse) @ inverse
-    turned = [
-        np.zeros(3) if h else -np.asarray(w.axis_B)
-        for w, h in zip(vehicle.wheels, held, strict=True)
-    ]
-    speeds_after = speeds + (kick @ np.stack(turned, axis=-1) if turned else 0.0)
-    return _dataset(
-        vehicle,
-        batch,
-        omega + kick,
-        velocity + impulse / vehicle.require_mass(),
-        impulse,
-        speeds_after,
-    )
-
-
-def _impulse(
-    inverse: np.ndarray,
-    mass: float,
-    omega: np.ndarray,
-    velocity: np.ndarray,
-    tip: np.ndarray,
-    damper: float,
-) -> np.ndarray:
-    """F (..., 3) in N s from K F = -(v + omega x l); with a damper, mixed with that of x and y alone."""
+    mass = vehicle.require_mass()
+    # K F = -(v + omega x l)
     lever = cross_matrix(tip)
     mobility = np.eye(3) / mass - lever @ inverse @ lever
     contact_velocity = velocity + np.cross(omega, tip)
-    rigid = -np.linalg.solve(mobility, contact_velocity[..., None])[..., 0]
-    if damper == 0:
-        return rigid
-    across = -np.linalg.solve(mobility[..., :2, :2], contact_velocity[..., :2, None])[..., 0]
-    yielding = np.concatenate([across, np.zeros((*across.shape[:-1], 1))], axis=-1)
-    return (1 - damper) * rigid + damper * yielding
+    impulse = -np.linalg.solve(mobility, contact_velocity[..., None])[..., 0]
+    if damper:
+        across = -np.linalg.solve(mobility[..., :2, :2], contact_velocity[..., :2, None])[..., 0]
+        yielding = np.concatenate([across, np.zeros((*across.shape[:-1], 1))], axis=-1)
+        impulse = (1 - damper) * impulse + damper * yielding
+    impulse = impulse if restitution == 0 else (1 + restitution) * impulse
+    omega_change = np.cross(tip, impulse) @ inverse
+    if vehicle.wheels:
+        # d_W = -u.d_omega, zero for a held wheel
+        axes = [
+            np.zeros(3) if is_held else -np.asarray(wheel.axis_B)
+            for wheel, is_held in zip(vehicle.wheels, held, strict=True)
+        ]
+        speeds = speeds + omega_change @ np.stack(axes, axis=-1)
+    runs = tuple(f"run_{i}" for i in range(len(batch_shape)))
+    if len(runs) == 1:
+        runs = ("run",)
+
+    def variable(values: np.ndarray, last: str, units: str) -> Any:
+        """Return a variable over the runs, and over "axis" or "wheel"."""
+        values = np.broadcast_to(values, (*batch_shape, values.shape[-1])).copy()
+        return (*runs, last), values, {"units": units}
+
+    return xr.Dataset(
+        {
+            "omega_B": variable(omega + omega_change, "axis", "rad s-1"),
+            "wheel_speed_rad_s": variable(speeds, "wheel", "rad s-1"),
+            "velocity_B": variable(velocity + impulse / mass, "axis", "m s-1"),
+            "impulse_B": variable(impulse, "axis", "N s"),
+        },
+        coords={
+            "axis": ["x", "y", "z"],
+            "wheel": np.array([wheel.name for wheel in vehicle.wheels], dtype=np.str_),
+        },
+        attrs=provenance(
+            "impact",
+            **vehicle.result_attributes,
+            source="paper, eqs. 8-11: inelastic sticking impact at one point",
+        ),
+    )
 
 
 def _vectors(value: npt.ArrayLike, name: str) -> np.ndarray:
+    """Return an argument as vectors (..., 3); raise InputError, with its name, if it is something else."""
     vectors = np.asarray(value, dtype=np.float64)
     if vectors.ndim == 0 or vectors.shape[-1] != 3 or not np.all(np.isfinite(vectors)):
         raise InputError(
@@ -138,7 +149,7 @@ def _vectors(value: npt.ArrayLike, name: str) -> np.ndarray:
 
 
 def _speeds(vehicle: Vehicle, value: npt.ArrayLike | None) -> np.ndarray:
-    """Wheel speeds (..., n_wheel); with one wheel its axis may be left out."""
+    """Return the wheel speeds (..., n_wheel), rad/s; with one wheel the last axis may be left out."""
     n = len(vehicle.wheels)
     speeds = np.zeros(0) if value is None else np.asarray(value, dtype=np.float64)
     if n == 1 and value is not None and (speeds.ndim == 0 or speeds.shape[-1] != 1):
@@ -152,6 +163,7 @@ def _speeds(vehicle: Vehicle, value: npt.ArrayLike | None) -> np.ndarray:
 
 
 def _tips(vehicle: Vehicle, leg: str | int | npt.ArrayLike) -> np.ndarray:
+    """Return the contact points (..., 3), m, body axes from the centre of mass; `leg` as in :func:`impact`."""
     names = [item.name for item in vehicle.legs]
     if isinstance(leg, str):
         if leg not in names:
@@ -178,47 +190,10 @@ def _tips(vehicle: Vehicle, leg: str | int | npt.ArrayLike) -> np.ndarray:
 
 
 def _held(vehicle: Vehicle, wheel_mode: str | Sequence[str]) -> list[bool]:
+    """Return whether a motor holds the speed of each wheel (n_wheel)."""
     modes = [wheel_mode] * len(vehicle.wheels) if isinstance(wheel_mode, str) else list(wheel_mode)
     if len(modes) != len(vehicle.wheels) or any(mode not in COMMANDS for mode in modes):
         raise InputError(
             f"wheel_mode must be one of {', '.join(COMMANDS)}, or one per wheel", got=wheel_mode
         )
     return [mode == "hold" for mode in modes]
-
-
-def _dataset(vehicle, batch, omega, velocity, impulse, speeds) -> xr.Dataset:
-    runs = ("run",) if len(batch) == 1 else tuple(f"run_{i}" for i in range(len(batch)))
-    n = len(vehicle.wheels)
-    return xr.Dataset(
-        {
-            "omega_B": (
-                (*runs, "axis"),
-                np.broadcast_to(omega, (*batch, 3)).copy(),
-                {"units": "rad s-1"},
-            ),
-            "wheel_speed_rad_s": (
-                (*runs, "wheel"),
-                np.broadcast_to(speeds, (*batch, n)).copy(),
-                {"units": "rad s-1"},
-            ),
-            "velocity_B": (
-                (*runs, "axis"),
-                np.broadcast_to(velocity, (*batch, 3)).copy(),
-                {"units": "m s-1"},
-            ),
-            "impulse_B": (
-                (*runs, "axis"),
-                np.broadcast_to(impulse, (*batch, 3)).copy(),
-                {"units": "N s"},
-            ),
-        },
-        coords={
-            "axis": ["x", "y", "z"],
-            "wheel": np.array([wheel.name for wheel in vehicle.wheels], dtype=np.str_),
-        },
-        attrs=provenance(
-            "impact",
-            **vehicle.result_attributes,
-            source="paper, eqs. 8-11: inelastic sticking impact at one point",
-        ),
-    )

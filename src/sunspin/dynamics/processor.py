@@ -1,16 +1,16 @@
-"""numba, set up before anything is compiled with it, and the rule by which its cache never serves outdated code.
+"""Settings of the compiler numba, made before anything is compiled, and a cache of machine code that is never outdated.
 
-**Processor.** numba settles the processor's features for the whole process when the first function is decorated. LLVM uses
-256-bit vectors on many processors that have 512-bit ones; the Philae scan takes 107 microseconds a motion with these and 142
-without. A processor that the user has chosen with numba's own variables stays.
+**Processor.** numba determines the processor's features once per process, when the first function is decorated. On many processors
+with 512-bit vectors LLVM uses only 256 bits unless told otherwise; the Philae scan takes 107 microseconds a motion with 512 bits
+and 142 without. A processor that the user has chosen with numba's own environment variables is kept.
 
-**Cache.** numba keeps machine code beside the source, or in the user's cache, under the time stamp of *one* file: that of the
-cached function. It does not notice that another file changed whose functions were compiled into it. Therefore only entry points
-are cached, and each is a closure over the digest of all sources that it is compiled from: numba counts what a closure holds
-among the keys of its cache. An entry point is written as
+**Cache.** numba stores machine code next to the source, or in the user's cache, with the time stamp of *one* file: that of the
+cached function. It does not notice changes of other files whose functions were compiled into it. Therefore only entry points, the
+functions that Python calls, are cached. Each is a closure over the digest of all sources that it is compiled from: numba uses the
+values that a closure holds as keys of its cache. An entry point is written as
 
     def _entry(sources: int):
-        @cached
+        @cached("compiling ...")
         def run(...):
             _ = sources
             return advance(...)  # plain functions, `compiled` and not cached
@@ -37,7 +37,8 @@ from numba.core import config as numba_config
 from numba.core import event, registry
 from numba.core.caching import FunctionCache
 
-config: Any = numba_config  # its settings are made at run time, where no type checker sees them
+# its settings are made at run time, where no type checker sees them
+config: Any = numba_config
 
 _features = llvm.get_host_cpu_features()
 if _features.get("avx512f") and not (config.CPU_NAME or config.CPU_FEATURES):
@@ -49,58 +50,59 @@ OPTIONS: dict[str, Any] = {"nogil": True, "error_model": "numpy", "fastmath": {"
 """Threads run side by side; a division by zero gives infinity; products and sums may be fused, nothing else is reordered."""
 
 compiled = njit(**OPTIONS, no_cpython_wrapper=True, no_cfunc_wrapper=True)
-"""Decorator of what is called from compiled code: it is compiled into its callers, and kept with them."""
+"""Decorator of functions that are called from compiled code only: they are compiled into their callers, and stored with them."""
 
-_announced: dict[Any, str] = {}
-"""Entry points by their Python function, with the sentence that says what is being compiled."""
+_messages: dict[Any, str] = {}
+"""For the Python function of each entry point the message that it is being compiled, until that is printed."""
 
 
 def cached(message: str) -> Callable[[Callable[..., Any]], Any]:
-    """Return the decorator of an entry point: kept on disk where numba can write.
+    """Return the decorator of an entry point, whose machine code is stored on disk if numba can write.
 
-    `message` is printed on standard error, once, if the function has to be compiled because no machine code is kept.
+    `message` is printed on standard error, once, if the function has to be compiled because no machine code is stored.
     """
 
     def decorate(function: Callable[..., Any]) -> Any:
-        _announced[function] = message
+        _messages[function] = message
         entry: Any = njit(**OPTIONS)(function)
-        # an error says that neither the package's folder nor the user's cache can be written
+        # RuntimeError: neither the package's folder nor the user's cache can be written
         with suppress(RuntimeError):
-            entry._cache = _KeptCode(function)
+            entry._cache = _StoredCode(function)
         return entry
 
     return decorate
 
 
-class _KeptCode(FunctionCache):
+class _StoredCode(FunctionCache):
     """The machine code of an entry point on disk. An index that names a class which was renamed since counts as empty."""
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
-        """Return the machine code for a signature, or None if none is kept."""
+        """Return the machine code for a signature, or None if none is stored."""
         try:
             return super().load_overload(sig, target_context)
-        except (AttributeError, ImportError):  # numba reads the index before it asks how old it is
+        except (AttributeError, ImportError):  # numba reads the index before it checks its age
             self.flush()
             return None
 
 
 class _Announcement(event.Listener):
-    """Print the message of an entry point as its compilation begins; code that is loaded from the cache begins none."""
+    """Print the message of an entry point when its compilation begins. Loading from the cache is no compilation."""
 
     def on_start(self, event: event.Event) -> None:
+        """Print the message of the function that is being compiled, if it is an entry point."""
         function = getattr((event.data or {}).get("dispatcher"), "py_func", None)
-        if message := _announced.pop(function, None):
+        if message := _messages.pop(function, None):
             print(message, file=sys.stderr, flush=True)
 
     def on_end(self, event: event.Event) -> None:
-        """Do nothing."""
+        """Do nothing: numba requires this method."""
 
 
 event.register("numba:compile", _Announcement())
 
 
 def digest(*files: str | Path) -> int:
-    """Return a number that stands for the content of source files, of this one, and of the packages that compile them."""
+    """Return a hash of the content of source files, of this one, and of the versions that compile them (:func:`compiler`)."""
     content = hashlib.sha256(compiler().encode())
     for path in map(Path, (__file__, *files)):
         content.update(path.name.encode() + path.read_bytes())
@@ -108,7 +110,7 @@ def digest(*files: str | Path) -> int:
 
 
 def compiler() -> str:
-    """Return what machine code is made by and for: Python, numba, architecture, processor, its features."""
+    """Return what machine code depends on besides its sources: Python, numba, architecture, processor, its features."""
     cpu_target: Any = registry.cpu_target
-    made_for = cpu_target.target_context.codegen().magic_tuple()
-    return " ".join((str(sys.implementation.cache_tag), metadata.version("numba"), *made_for))
+    processor = cpu_target.target_context.codegen().magic_tuple()
+    return " ".join((str(sys.implementation.cache_tag), metadata.version("numba"), *processor))

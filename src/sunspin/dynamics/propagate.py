@@ -1,8 +1,8 @@
-"""The reference propagator: one motion to machine precision, forward or backward, with wheel events.
+"""The reference propagator: one motion to machine precision, forward or backward in time, with wheel events.
 
-The kernel of :mod:`sunspin.dynamics.kernels.motions` computes a leg of the run, in which each wheel has one command, with all its
-events. A leg ends where a command changes and, backward in time, where a wheel that is stuck had come to rest: that time has to be
-given, since friction that holds a wheel forgets its past.
+A run is computed in legs, in each of which every wheel has one command (coast, hold or brake). The Taylor kernel
+(:mod:`sunspin.dynamics.kernels.motions`) computes a leg with all its events. A leg ends when a command changes. Backward in time it
+also ends when a wheel that friction holds had come to rest. The motion does not determine that time, so the caller states it.
 """
 
 from __future__ import annotations
@@ -17,12 +17,12 @@ import xarray as xr
 
 from sunspin.base.errors import MotionError
 from sunspin.base.provenance import provenance
-from sunspin.dynamics import gyrostat as g
-from sunspin.dynamics import wheel_modes as m
 from sunspin.dynamics.batch import Motion, Outcome, Problem, Rows, advance, require_followable
 from sunspin.dynamics.bodies import Bodies
+from sunspin.dynamics.gyrostat import total_momentum
 from sunspin.dynamics.kernels.rows import BREAKS_AWAY, OVERLOADED, RESTS, REVERSES, STOPS
 from sunspin.dynamics.torques import Acting, Steady, acting
+from sunspin.dynamics.wheel_modes import command_at, friction_limit, schedules, switch_times
 from sunspin.environment import Environment
 from sunspin.environment.frames import BODY_AT_START
 from sunspin.vehicle import Vehicle
@@ -31,19 +31,19 @@ SUN_LENGTH_TOLERANCE = 1e-3
 """A direction to the Sun printed to three or four digits is taken as it is; beyond this it is an error."""
 
 MAX_RATE = 1e6
-"""rad/s; a body or wheel said to turn faster is a slip of units."""
+"""rad/s; a larger rate of a body or a wheel is refused, because the unit is probably wrong."""
 
 MAX_EVENTS = 100_000
-"""Wheel events in one run; more means that the wheel chatters and the run would not end."""
+"""Wheel events in one leg; with more, a wheel stops and starts again and again, and the run would not end."""
 
 FIRST_ROOM = 500
 """Events for which there is room at first; a leg with more is computed again."""
 
 SHARE = 0.1
-"""Share of `rtol` that the kernel's law of steps may use up."""
+"""Part of `rtol` for which the kernel chooses its steps."""
 
 ABOUT_TO_SLIP = 1e-300
-"""rad/s: a speed that is zero but for its sign. A wheel with it turns freely; one with zero is stuck."""
+"""rad/s: practically zero, but with a sign. The kernel lets a wheel with this speed turn freely; one with zero is stuck."""
 
 EVENT_TEXT = {
     STOPS: "stops",
@@ -67,7 +67,7 @@ def propagate(
     torques: Sequence[str | Steady] = (),
     B_from_N: npt.ArrayLike | None = None,
 ) -> xr.Dataset:
-    """Rotation of `vehicle` from the state given at ``t_s[0]``, on all of `t_s` (paper, eqs. 3-7), and under torques.
+    """Return the rotation of `vehicle` from its state at ``t_s[0]`` to all times `t_s`, also under torques (paper, eqs. 3-7).
 
     Parameters
     ----------
@@ -84,10 +84,10 @@ def propagate(
         ``"coast"`` (friction only), ``"hold"`` (a motor keeps the speed), ``"brake"`` (torque in the vehicle file, then
         stuck), or ``[(t_s, mode), ...]``: each mode from its time on.
     stopped_at_s : number, optional
-        When a wheel that is stuck had stopped (one value per wheel where there are several). Sticking forgets the past, so
-        a run backward out of a stuck phase needs it.
+        Time at which a wheel that friction holds had come to rest (one value per wheel if there are several). A run backward in
+        time needs it, because the motion does not determine it.
     rtol : float
-        Relative error wanted over the run, down to 1e-13.
+        Relative error over the run, down to 1e-13.
     environment : Environment, optional
         What surrounds the body, such as :func:`sunspin.environment.circular`, on the clock of `t_s`.
     torques : list, optional
@@ -124,19 +124,25 @@ def propagate(
         raise MotionError(
             f"a rate exceeds {MAX_RATE:g} rad/s", got=f"{fastest:g} rad/s", do="is it in deg/s?"
         )
-    plan = m.schedules(vehicle, wheel_mode)
+    plan = schedules(vehicle, wheel_mode)
     attitude = forces.attitude(B_from_N, sun)
-    run = _Run(vehicle, t, forces, _stop_times(vehicle, stopped_at_s), rtol)
+    stopped_at = stopped_at_s
+    if not isinstance(stopped_at, Sequence):
+        stopped_at = (stopped_at,) * len(vehicle.wheels)
+    if len(stopped_at) != len(vehicle.wheels):
+        raise MotionError("stopped_at_s must give one time (or None) per wheel", got=stopped_at_s)
+    run = _Run(vehicle, t, forces, tuple(stopped_at), rtol)
     run.begin(omega, sun, speeds, attitude)
-    for end in [*m.switch_times(plan, t[0], t[-1]), t[-1]] if t.size > 1 else []:
+    for end in [*switch_times(plan, t[0], t[-1]), t[-1]] if t.size > 1 else []:
         middle = (run.t + end) / 2
-        commands = tuple(m.command_at(schedule, middle) for schedule in plan)
+        commands = tuple(command_at(schedule, middle) for schedule in plan)
         while run.t != end:
             run.advance(end, commands)
     return _dataset(run)
 
 
 def _times(t_s: npt.ArrayLike) -> np.ndarray:
+    """Return the times (n), s; raise MotionError unless they are finite and all increase or all decrease."""
     t = np.atleast_1d(np.asarray(t_s, dtype=np.float64)) + 0.0  # no minus zero
     steps = np.diff(t)
     if (
@@ -152,6 +158,7 @@ def _times(t_s: npt.ArrayLike) -> np.ndarray:
 
 
 def _vector(value: npt.ArrayLike, name: str) -> np.ndarray:
+    """Return an argument as a vector (3); raise MotionError, with its name, if it is something else."""
     vector = np.asarray(value, dtype=np.float64)
     if vector.shape != (3,) or not np.all(np.isfinite(vector)):
         raise MotionError(
@@ -161,13 +168,11 @@ def _vector(value: npt.ArrayLike, name: str) -> np.ndarray:
 
 
 def wheel_speeds(vehicle: Vehicle, wheel_speed_rad_s: npt.ArrayLike | None) -> np.ndarray:
-    """The public wheel-speed argument (None, number or one per wheel) as an array (n_wheel) in rad/s."""
+    """Return the public wheel-speed argument (None, number or one per wheel) as an array (n_wheel) in rad/s."""
     n = len(vehicle.wheels)
-    speeds = (
-        np.zeros(0)
-        if wheel_speed_rad_s is None
-        else np.atleast_1d(np.asarray(wheel_speed_rad_s, dtype=np.float64))
-    )
+    speeds = np.zeros(0)
+    if wheel_speed_rad_s is not None:
+        speeds = np.atleast_1d(np.asarray(wheel_speed_rad_s, dtype=np.float64))
     if speeds.shape != (n,) or not np.all(np.isfinite(speeds)):
         raise MotionError(
             f"wheel_speed_rad_s must give one finite number for each of the {n} wheel(s) of {vehicle.name!r}",
@@ -176,24 +181,14 @@ def wheel_speeds(vehicle: Vehicle, wheel_speed_rad_s: npt.ArrayLike | None) -> n
     return speeds
 
 
-def _stop_times(
-    vehicle: Vehicle, stopped_at_s: float | Sequence[float | None] | None
-) -> tuple[float | None, ...]:
-    """Return the time at which each wheel had stopped, or None."""
-    n = len(vehicle.wheels)
-    times = stopped_at_s if isinstance(stopped_at_s, Sequence) else (stopped_at_s,) * n
-    if len(times) != n:
-        raise MotionError("stopped_at_s must give one time (or None) per wheel", got=stopped_at_s)
-    return tuple(times)
-
-
 @dataclass
 class _Run:
-    """A run between two legs: what is asked for, the state at time `t`, and the outputs and events so far.
+    """A run between two legs: its arguments, the state at time `t`, and the outputs and events so far.
 
-    `sun_N` (3); `attitude` (4): quaternion at the first time. Of now: `matrix` (3, 3), attitude B from N, and `speeds` (n_wheel),
-    exactly zero where friction holds a wheel. `torque_B` and `torque_N` (3): steady torques in N m. `outputs` (n_time, ...) are
-    written from the first on; `filled` counts them.
+    `stopped_at`: for each wheel the time at which it had come to rest, or None. `sun_N` (3): direction to the Sun; `attitude` (4):
+    quaternion at the first time. The state at `t`: `omega` (3) in rad/s, `speeds` (n_wheel) in rad/s, exactly zero while friction
+    holds a wheel, and `matrix` (3, 3), the attitude B_from_N. `torque_B` and `torque_N` (3): torques that are steady in the body
+    and in space, N m. `outputs` (n_time, ...) by name; the first `filled` are written. `events`: time, wheel, what it does.
     """
 
     vehicle: Vehicle
@@ -215,7 +210,7 @@ class _Run:
 
     @property
     def backward(self) -> bool:
-        """Whether the run goes backward in time."""
+        """Return whether the run goes backward in time."""
         return bool(self.times[-1] < self.times[0])
 
     def begin(
@@ -234,7 +229,7 @@ class _Run:
             "omega_B": omega,
             "sun_B": sun_B,
             "wheel_speed_rad_s": speeds,
-            "momentum_B": g.total_momentum(bodies, omega, speeds),
+            "momentum_B": total_momentum(bodies, omega, speeds),
             "matrix": self.matrix,
         }
         for name, value in first.items():
@@ -243,18 +238,19 @@ class _Run:
         self.filled = 1
 
     def advance(self, end: float, commands: tuple[str, ...]) -> None:
-        """Go on to `end`, or to the time before it at which a wheel that is stuck had come to rest."""
+        """Compute a leg up to time `end`, or, backward in time, up to the time before at which a stuck wheel had come to rest."""
         if self.backward:
             end = self._backward_end(end, commands)
             if end == self.t:
                 return
+        # output times in this leg
         due = self.times[self.filled :]
         due = due[due >= end] if self.backward else due[due <= end]
         motion = self._leg(np.append(due, end) - self.t, commands)
         events = motion.events[0, : motion.n_events[0]]
         begin, outcome = self.t, motion.outcome[0]
         if outcome == Outcome.PAST_UNKNOWN:
-            # the state where the wheel had come to rest; what lies beyond belongs to the next leg
+            # the leg has ended where the wheel had come to rest; later outputs belong to the next leg
             self.t = begin + float(events[-1, 0])
             due = due[due > self.t]
         elif outcome == Outcome.NOT_FINITE:
@@ -265,23 +261,29 @@ class _Run:
         else:
             self.t = end
         for seconds, wheel, what in events:
-            self._note(begin + seconds, int(wheel), int(what))
-        self._write(motion, len(due))
+            self._add_event(begin + seconds, int(wheel), int(what))
+        # outputs of this leg, after those of the legs before
+        to = slice(self.filled, self.filled + len(due))
+        for name in ("omega_B", "sun_B", "wheel_speed_rad_s", "momentum_B"):
+            self.outputs[name][to] = getattr(motion, name)[0, : len(due)]
+        self.outputs["matrix"][to] = motion.attitude[0, : len(due)] @ self.matrix
+        self.filled += len(due)
         last = motion.at_end()
         self.omega, self.speeds = last.omega_B[0, 0], last.wheel_speed_rad_s[0, 0].copy()
         self.matrix = last.attitude[0, 0] @ self.matrix
 
     def _leg(self, seconds: np.ndarray, commands: tuple[str, ...]) -> Motion:
-        """Compute a leg from the present state to `seconds` (n_out) after it, with room for all its events."""
+        """Return the motion from the present state to `seconds` (n_out) after it, with all its events."""
         from scipy.spatial.transform import Rotation
 
         bodies = Bodies.of(self.vehicle, 1)
         forces = replace(self.acting, start_s=self.t)
-        if self.acting.torques:  # a torque in space is given in the body's axes of now
+        if self.acting.torques:
+            # the kernel takes both steady torques in body axes at the start of the leg
             torque = np.stack([self.torque_B, self.matrix @ self.torque_N])
             bodies = replace(bodies, steady_N_m=torque[None])
-            others = [x for x in forces.torques if not isinstance(x, Steady)]
-            forces = replace(forces, torques=(*others, Steady()))
+            not_steady = [x for x in forces.torques if not isinstance(x, Steady)]
+            forces = replace(forces, torques=(*not_steady, Steady()))
         initial = Rows(
             self.omega[None],
             (self.matrix @ self.sun_N)[None],
@@ -291,6 +293,7 @@ class _Run:
         )
         problem = Problem(self.vehicle, initial, commands, forces)
         require_followable(problem, seconds[-1])
+        # the error allowed for the run is shared by its legs in proportion to their length
         total = abs(self.times[-1] - self.times[0])
         error = SHARE * max(self.rtol, 1e-13) * (abs(seconds[-1]) / total if total else 1.0)
         room = FIRST_ROOM
@@ -305,16 +308,8 @@ class _Run:
                 )
             room = min(10 * room, MAX_EVENTS)
 
-    def _write(self, motion: Motion, count: int) -> None:
-        """Write the first `count` outputs of a leg after those of the legs before."""
-        to = slice(self.filled, self.filled + count)
-        for name in ("omega_B", "sun_B", "wheel_speed_rad_s", "momentum_B"):
-            self.outputs[name][to] = getattr(motion, name)[0, :count]
-        self.outputs["matrix"][to] = motion.attitude[0, :count] @ self.matrix
-        self.filled += count
-
-    def _note(self, t: float, wheel: int, what: int) -> None:
-        """Note an event of a wheel; `MotionError` for one that shows that it cannot have been stuck."""
+    def _add_event(self, t: float, wheel: int, what: int) -> None:
+        """Add an event of a wheel (codes in :mod:`kernels.rows`); `MotionError` for one that a stuck wheel cannot have had."""
         name = self.vehicle.wheels[wheel].name
         if what == OVERLOADED:
             raise MotionError(
@@ -326,12 +321,13 @@ class _Run:
         self.events.append((t, name, EVENT_TEXT[what]))
 
     def _backward_end(self, end: float, commands: tuple[str, ...]) -> float:
-        """Return how far back the next leg may go: to where the first of the wheels that are stuck had come to rest.
+        """Return how far back the next leg may go: to `end`, or to the latest time at which a stuck wheel had come to rest.
 
-        Wheels that had come to rest just now are let go, and turn as the vehicle says that they do.
+        Wheels that had come to rest at the present time turn freely before it. Their sign is that of the speed in the vehicle file.
         """
         for i, wheel in enumerate(self.vehicle.wheels):
-            limit = m.friction_limit(wheel, commands[i])
+            limit = friction_limit(wheel, commands[i])
+            # only wheels at rest that friction holds
             if self.speeds[i] != 0.0 or commands[i] == "hold" or limit == 0.0:
                 continue
             stopped = self._require_past(i, self.t)
@@ -343,7 +339,7 @@ class _Run:
         return end
 
     def _require_past(self, wheel: int, t: float) -> float:
-        """Return when a wheel that is at rest at `t` had stopped; `MotionError` if that is not known, or lies after `t`."""
+        """Return the time at which a wheel that is at rest at `t` had stopped; `MotionError` if it is unknown or after `t`."""
         stopped, name = self.stopped_at[wheel], self.vehicle.wheels[wheel].name
         if stopped is None:
             raise MotionError(
@@ -358,61 +354,46 @@ class _Run:
 
 
 def _quaternions(matrices: np.ndarray, first: np.ndarray) -> np.ndarray:
-    """Return unit quaternions (n, 4), scalar last, of matrices (n, 3, 3): neighbours on one side, the first next to `first`."""
+    """Return unit quaternions (n, 4), scalar last, of matrices (n, 3, 3), without sign jumps: each is near the one before.
+
+    q and -q are the same attitude. The first quaternion has the sign that is nearer to `first` (4).
+    """
     from scipy.spatial.transform import Rotation
 
     quaternions = Rotation.from_matrix(matrices).as_quat()
-    turned = np.einsum("ni,ni->n", quaternions, np.vstack([first, quaternions[:-1]])) < 0
-    return quaternions * np.where(np.cumsum(turned) % 2, -1.0, 1.0)[:, None]
+    jumps = np.einsum("ni,ni->n", quaternions, np.vstack([first, quaternions[:-1]])) < 0
+    return quaternions * np.where(np.cumsum(jumps) % 2, -1.0, 1.0)[:, None]
 
 
 def _dataset(run: _Run) -> xr.Dataset:
-    """Return the outputs and events of a run that has ended."""
+    """Return the outputs and events of a run that has ended, as described in :func:`propagate`."""
     out, events, environment = run.outputs, run.events, run.acting.environment
-    body = ("time", "axis")
+
+    def variable(values: np.ndarray, last: str, units: str, long_name: str) -> Any:
+        """Return a variable over time and the dimension `last`."""
+        return ("time", last), values, {"units": units, "long_name": long_name}
+
+    frame = "B at the first time" if environment is None else "the environment's"
+    speeds, momentum = out["wheel_speed_rad_s"], out["momentum_B"]
+    attitude = _quaternions(out["matrix"], run.attitude)
+    about = f"attitude, scalar last; N is {frame}"
     variables: dict[str, Any] = {
-        "omega_B": (
-            body,
-            out["omega_B"],
-            {"units": "rad s-1", "long_name": "body rate, body axes"},
-        ),
-        "sun_B": (
-            body,
-            out["sun_B"],
-            {"units": "1", "long_name": "direction to the Sun, body axes"},
-        ),
-        "wheel_speed_rad_s": (
-            ("time", "wheel"),
-            out["wheel_speed_rad_s"],
-            {"units": "rad s-1", "long_name": "relative to the body"},
-        ),
-        "momentum_B": (
-            body,
-            out["momentum_B"],
-            {"units": "N m s", "long_name": "total angular momentum, body axes"},
-        ),
-        "B_from_N": (
-            ("time", "quaternion"),
-            _quaternions(out["matrix"], run.attitude),
-            {"units": "1", "long_name": "attitude, scalar last; N is " + _named_frame(environment)},
-        ),
+        "omega_B": variable(out["omega_B"], "axis", "rad s-1", "body rate, body axes"),
+        "sun_B": variable(out["sun_B"], "axis", "1", "direction to the Sun, body axes"),
+        "wheel_speed_rad_s": variable(speeds, "wheel", "rad s-1", "relative to the body"),
+        "momentum_B": variable(momentum, "axis", "N m s", "total angular momentum, body axes"),
+        "B_from_N": variable(attitude, "quaternion", "1", about),
     }
     if run.acting.needs_attitude:
-        variables["nadir_B"] = (
-            body,
-            run.acting.nadir_B(out["matrix"], run.times)[:, :3],
-            {"units": "1", "long_name": "direction of the nadir, body axes"},
-        )
+        nadir = run.acting.nadir_B(out["matrix"], run.times)[:, :3]
+        variables["nadir_B"] = variable(nadir, "axis", "1", "direction of the nadir, body axes")
+    event_times = np.array([event[0] for event in events], dtype=np.float64)
     return xr.Dataset(
         variables
         | {
-            "event_time_s": (
-                "event",
-                np.array([e[0] for e in events], dtype=np.float64),
-                {"units": "s"},
-            ),
-            "event_wheel": ("event", np.array([e[1] for e in events], dtype=np.str_)),
-            "event_what": ("event", np.array([e[2] for e in events], dtype=np.str_)),
+            "event_time_s": ("event", event_times, {"units": "s"}),
+            "event_wheel": ("event", np.array([event[1] for event in events], dtype=np.str_)),
+            "event_what": ("event", np.array([event[2] for event in events], dtype=np.str_)),
         },
         coords={
             "time": ("time", run.times, {"units": "s"}),
@@ -427,7 +408,3 @@ def _dataset(run: _Run) -> xr.Dataset:
             "source": "paper, eqs. 3-7; integration by Taylor series",
         },
     )
-
-
-def _named_frame(environment: Environment | None) -> str:
-    return "B at the first time" if environment is None else "the environment's"

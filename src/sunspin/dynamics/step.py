@@ -1,12 +1,13 @@
-"""Attitude and momentum of many bodies, each over an interval of its own: the step of :mod:`sunspin.estimate.carry`, compiled.
+"""Attitude and rate of many bodies, each propagated over its own interval: the compiled step of :mod:`sunspin.estimate.carry`.
 
-The equations are those of :mod:`sunspin.dynamics.gyrostat` for a body without torques whose wheels are given by their momentum K
-(docs/model.md):
+The equations are those of :mod:`sunspin.dynamics.gyrostat` for a body without torques, with the momentum K of its wheels given
+(docs/model.md). q is the attitude B_from_N, a quaternion:
 
     omega = A^-1 (H - K)        dH/dt = H x omega        dq/dt = -1/2 (omega, 0) q
 
-The momentum of the wheels is linear in time from one end of the interval to the other, in body axes. Classical Runge-Kutta steps of
-fixed length: all runs of a numerical difference must take the same steps, else the difference is that of the errors of integration.
+K is linear in time from one end of the interval to the other, in body axes. The method is that of Runge and Kutta, of fourth order,
+with steps of fixed length: derivatives are computed as differences of runs, and with other steps in each run they would be those of
+the integration errors. Momenta are in units of mean moment of inertia times rad/s.
 """
 
 from __future__ import annotations
@@ -19,20 +20,21 @@ from sunspin.dynamics.processor import cached, compiled, digest
 from sunspin.solve.linear import symmetric_inverse
 
 Q, SIZE = 3, 7
-"""Where the quaternion B_from_N (4, scalar last) begins in a state, after the momentum (3); numbers of a state."""
+"""Index at which the quaternion B_from_N (4, scalar last) begins in a state, after the momentum H (3); length of a state."""
 
 LOST = 1e6
-"""Momentum, in mean moments times rad/s, of a motion that no step is fine enough for: it must cost much, not fail."""
+"""Momentum of a motion whose numbers overflow, because its steps are too long: its cost must be large, not NaN."""
 
 
 @compiled
-def _write_slope(z, held, inverse, d):
-    """Write the derivative of the state `z` into `d` while the wheels hold the momentum `held` (3).
+def _write_slope(z, wheels, inverse, d):
+    """Write the derivative of the state `z` (7) into `d` (7), for wheels with the momentum `wheels` (3).
 
-    All of it is computed before any of it is written: what is written might be one of the numbers still to be read.
+    `inverse` (6): A^-1 as xx, xy, xz, yy, yz, zz. All is read before anything is written, as the compiler cannot know that z and d
+    do not overlap.
     """
     h0, h1, h2 = z[0], z[1], z[2]
-    a, b, c = h0 - held[0], h1 - held[1], h2 - held[2]
+    a, b, c = h0 - wheels[0], h1 - wheels[1], h2 - wheels[2]
     w0 = inverse[0] * a + inverse[1] * b + inverse[2] * c
     w1 = inverse[1] * a + inverse[3] * b + inverse[4] * c
     w2 = inverse[2] * a + inverse[4] * b + inverse[5] * c
@@ -48,10 +50,13 @@ def _write_slope(z, held, inverse, d):
 
 @compiled
 def _advance(states, dt, counts, momentum, momentum_end, inverse):
-    """Take each row of `states` (n, 7), in place, over its dt (n) seconds in its number of steps, `counts` (n)."""
-    # the length is a constant of the compiled code, which then holds a state in registers: 0.3 of the time
+    """Propagate each row of `states` (n, 7), in place, over its dt (n) seconds in `counts` (n) steps.
+
+    The momentum of the wheels goes from `momentum` (n, 3) to `momentum_end` (n, 3).
+    """
+    # SIZE is a constant of the compiled code, which then keeps a state in registers: 0.3 of the time
     y, z, total, d = np.empty(SIZE), np.empty(SIZE), np.empty(SIZE), np.empty(SIZE)
-    held = np.empty(3)
+    wheels = np.empty(3)
     for i in range(len(states)):
         for m in range(SIZE):
             y[m] = states[i, m]
@@ -60,17 +65,17 @@ def _advance(states, dt, counts, momentum, momentum_end, inverse):
             for m in range(SIZE):
                 z[m] = y[m]
                 total[m] = 0.0
-            # at the start, twice in the middle, and at the end of the step
+            # Runge-Kutta: slopes at the start, twice in the middle, and at the end of the step
             for stage in range(4):
                 s = (k + 0.5 * ((stage + 1) // 2)) / counts[i]
                 for m in range(3):
-                    held[m] = (1.0 - s) * momentum[i, m] + s * momentum_end[i, m]
-                _write_slope(z, held, inverse, d)
+                    wheels[m] = (1.0 - s) * momentum[i, m] + s * momentum_end[i, m]
+                _write_slope(z, wheels, inverse, d)
                 weight = 1.0 if stage == 0 or stage == 3 else 2.0
-                reach = h if stage == 2 else 0.5 * h
+                to_next = h if stage == 2 else 0.5 * h
                 for m in range(SIZE):
                     total[m] += weight * d[m]
-                    z[m] = y[m] + reach * d[m]
+                    z[m] = y[m] + to_next * d[m]
             for m in range(SIZE):
                 y[m] += h / 6.0 * total[m]
         for m in range(SIZE):
@@ -94,7 +99,11 @@ def _entry(sources: int) -> Any:
     """Return the cached entry point; `sources` is the digest of what it is compiled from (:mod:`sunspin.dynamics.processor`)."""
 
     @cached("compiling the step of rates, once (some 5 s)")
-    def run(omega, dt, counts, momentum, momentum_end, inertia, inverse, turned):
+    def run(omega, dt, counts, momentum, momentum_end, inertia, inverse, attitudes):
+        """Replace the rates `omega` (r, K, n, 3) by those at the end, and write `attitudes` (r, K, n, 3, 3).
+
+        Arguments as of :func:`carry_bodies`; `inverse` (r, K or 1, 6): A^-1.
+        """
         _ = sources
         n = dt.shape[1]
         states, bodies = np.empty((n, SIZE)), inertia.shape[1]
@@ -102,12 +111,13 @@ def _entry(sources: int) -> Any:
             for k in range(omega.shape[1]):
                 body, inverse_of_body = inertia[r, k % bodies], inverse[r, k % bodies]
                 for i in range(n):
+                    # H = A omega + K; no rotation yet
                     for m in range(3):
                         states[i, m] = momentum[i, m]
                         for j in range(3):
                             states[i, m] += body[m, j] * omega[r, k, i, j]
                         states[i, Q + m] = 0.0
-                    states[i, Q + 3] = 1.0  # no turn yet
+                    states[i, Q + 3] = 1.0
                 _advance(states, dt[k], counts[k], momentum, momentum_end, inverse_of_body)
                 for i in range(n):
                     size = 0.0
@@ -120,6 +130,7 @@ def _entry(sources: int) -> Any:
                         for m in range(3):
                             states[i, m], states[i, Q + m] = LOST, 0.0
                         states[i, Q + 3] = 1.0
+                    # omega = A^-1 (H - K)
                     a = states[i, 0] - momentum_end[i, 0]
                     b = states[i, 1] - momentum_end[i, 1]
                     c = states[i, 2] - momentum_end[i, 2]
@@ -127,7 +138,7 @@ def _entry(sources: int) -> Any:
                     omega[r, k, i, 0] = v[0] * a + v[1] * b + v[2] * c
                     omega[r, k, i, 1] = v[1] * a + v[3] * b + v[4] * c
                     omega[r, k, i, 2] = v[2] * a + v[4] * b + v[5] * c
-                    _write_matrix(states[i, Q:], turned[r, k, i])
+                    _write_matrix(states[i, Q:], attitudes[r, k, i])
 
     return run
 
@@ -142,23 +153,25 @@ def carry_bodies(
     counts: np.ndarray,
     momenta: tuple[np.ndarray, np.ndarray],
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return relative attitudes (r, K, n, 3, 3) and rates (r, K, n, 3) of r runs of K motions after n intervals of their own.
+    """Return attitudes and rates after n intervals, for r runs of K motions; each interval starts with its own rate.
+
+    Attitudes (r, K, n, 3, 3) are rotation matrices from body axes at the start of the interval to those at its end.
 
     Parameters
     ----------
     inertia : (r, K, 3, 3) or (r, 1, 3, 3)
-        In mean moments, of each motion of each run, or of all motions of a run.
+        In mean moments of inertia, for each motion of each run, or for all motions of a run.
     omega : (r, K, n, 3), rad/s
-        Rates at the start.
-    dt_s : (n) or, of each motion, (K, n)
-        Length of the intervals; may be negative.
+        Rates at the start of each interval.
+    dt_s : (n) or, for each motion, (K, n)
+        Length of the intervals, s; may be negative.
     counts : (K, n)
-        Steps, alike in all runs, or differences of runs would be those of the steps.
+        Number of steps, the same in all runs.
     momenta : two (n, 3)
-        Momentum of the wheels at start and end, in mean moments times rad/s.
+        Momentum of the wheels at the start and at the end of each interval.
     """
     rates = np.array(omega, dtype=np.float64, order="C")
-    turned = np.empty((*rates.shape, 3))
+    attitudes = np.empty((*rates.shape, 3))
     _run(
         rates,
         _plain(np.broadcast_to(dt_s, counts.shape)),
@@ -166,20 +179,20 @@ def carry_bodies(
         *(_plain(momentum) for momentum in momenta),
         _plain(inertia),
         _plain(symmetric_inverse(inertia)),
-        turned,
+        attitudes,
     )
-    return turned, rates
+    return attitudes, rates
 
 
 def load() -> None:
-    """Load the compiled step, or compile it: done before a process is copied, it need not be done in each copy."""
+    """Load the compiled step, or compile it. Done before a process is forked, it is not repeated in each child."""
     still, steps = np.zeros((1, 3)), np.ones((1, 1), dtype=np.int64)
     carry_bodies(np.eye(3)[None, None], np.zeros((1, 1, 1, 3)), np.ones(1), steps, (still, still))
 
 
 def _plain(values: np.ndarray) -> np.ndarray:
-    """Return float64 values in one block that can be written: arrays of another kind would compile the step once more."""
+    """Return values as a contiguous, writable float64 array: for another kind the step would be compiled once more."""
     flags = values.flags
     if values.dtype == np.float64 and flags.c_contiguous and flags.writeable:
-        return values  # most are such, and `require` takes six times as long to say so
+        return values  # the usual case, for which `require` takes six times as long
     return np.require(values, np.float64, ["C", "W"])

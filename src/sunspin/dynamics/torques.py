@@ -1,7 +1,6 @@
-"""Torques from outside, as numbers: steady ones in body axes and in space, and the gravity gradient.
+"""External torques: which ones act, and the numbers that describe them. They are steady torques and the gravity gradient.
 
-Their equations are in :mod:`sunspin.dynamics.gyrostat`, in plain functions, and in the kernels (`kernels/flow.py`), where
-another torque would be added.
+Their equations are in :mod:`sunspin.dynamics.gyrostat` as plain functions, and in the kernels (`kernels/flow.py`).
 """
 
 from __future__ import annotations
@@ -18,14 +17,14 @@ from sunspin.dynamics.bodies import Bodies
 from sunspin.environment import Environment, Surroundings
 
 SUN_TOLERANCE = 2e-3
-"""rad; a direction to the Sun and an attitude, both printed to three or four digits, agree."""
+"""Largest difference (rad) between the Sun of an attitude and a stated direction, both printed to three or four digits."""
 
 
 @dataclass(frozen=True)
 class GravityGradient:
-    """3 n^2 nadir x (I nadir), eq. (23): the Earth attracts more strongly what is nearer, a body rests with its long axis to it.
+    """The torque 3 n^2 nadir x (I nadir) of the Earth's attraction (eq. 23), which is stronger on the nearer parts of the body.
 
-    Of the first order in size over distance, on a circular orbit: n is the rate at which the nadir turns.
+    n is the rate at which the nadir rotates in space. It holds for a circular orbit and a body far smaller than the distance.
     """
 
     name: str = "gravity_gradient"
@@ -35,7 +34,7 @@ class GravityGradient:
 class Steady:
     """A torque that is constant in body axes (a leak, a thruster), and one that is constant in space (drag, light pressure).
 
-    `torque_N_m` (2, 3): both in body axes at the start, of every body; None: those that the bodies bring, each its own.
+    `torque_N_m` (2, 3): both, in body axes at the start, the same for all bodies; None: those of each body (`Bodies.steady_N_m`).
     """
 
     torque_N_m: npt.ArrayLike | None = field(default=None, compare=False, repr=False)
@@ -48,7 +47,7 @@ class Steady:
 
 
 TORQUES = (GravityGradient.name,)
-"""What may be named as a torque."""
+"""Names of torques that the caller of a propagation may give."""
 
 
 @dataclass(frozen=True)
@@ -60,84 +59,83 @@ class Acting:
     start_s: float = 0.0
 
     def here(self, t_s: Any = None) -> Surroundings | None:
-        """Return the surroundings at the start, or at times; None without an environment."""
+        """Return the surroundings (Sun, nadir) at the start, or at times `t_s`; None without an environment."""
         if self.environment is None:
             return None
         return self.environment.at(self.start_s if t_s is None else t_s)
 
     @property
     def needs_attitude(self) -> bool:
-        """Whether a torque depends on a direction other than the Sun's."""
+        """Return whether a torque depends on the attitude, and not only on rate and direction to the Sun."""
         return any(isinstance(torque, GravityGradient) for torque in self.torques)
 
     def steady(self, bodies: Bodies) -> np.ndarray:
-        """Return the steady torques (..., 2, 3) in body axes and in space on bodies (...), N m, body axes at the start."""
+        """Return the sum of steady torques on bodies (...), N m: (..., 2, 3), constant in body axes and in space.
+
+        Both are given in body axes at the start.
+        """
         parts = [torque.of(bodies) for torque in self.torques if isinstance(torque, Steady)]
         return np.sum(parts, axis=0) if parts else np.zeros((*bodies.shape, 2, 3))
 
     def gradient_strength(self) -> float:
-        """Return 3 n^2 (1/s2) of the gravity gradient, n being the rate at which the nadir turns; 0 if it does not act."""
+        """Return 3 n^2 (1/s2) of the gravity gradient, n being the rate at which the nadir rotates; 0 if it does not act."""
         if not self.needs_attitude:
             return 0.0
-        turn = getattr(self.here(), "nadir_turn_N", None)
-        if turn is None:
+        nadir_rate = getattr(self.here(), "nadir_turn_N", None)
+        if nadir_rate is None:
             raise MotionError(
                 "gravity_gradient needs the rate at which the nadir turns",
                 do="give it as nadir_turn_N",
             )
-        return float(3 * (turn[0] ** 2).sum())
+        return float(3 * (nadir_rate[0] ** 2).sum())
 
     def nadir_B(self, B_from_N: np.ndarray, t_s: npt.ArrayLike) -> np.ndarray:
-        """Return the nadir and the rate (rad/s) at which it turns in space (n, 6), body axes, of attitudes (n, 3, 3) at times."""
+        """Return the nadir and its rate of rotation in space, rad/s, as (n, 6), body axes, for attitudes (n, 3, 3) at times."""
         here = self.here(t_s)
-        nadir, turn = getattr(here, "nadir_N", None), getattr(here, "nadir_turn_N", None)
-        if nadir is None or turn is None:
+        nadir, nadir_rate = getattr(here, "nadir_N", None), getattr(here, "nadir_turn_N", None)
+        if nadir is None or nadir_rate is None:
             raise MotionError("the environment does not know the nadir and its rate")
-        every = [np.broadcast_to(vector, (len(B_from_N), 3)) for vector in (nadir, turn)]
-        return np.concatenate([np.einsum("nij,nj->ni", B_from_N, x) for x in every], axis=1)
-
-    def largest(self, bodies: Bodies) -> np.ndarray:
-        """Return a bound (...) on all torques that turn with the bodies (...) together, N m."""
-        bound = np.linalg.norm(self.steady(bodies)[..., 0, :], axis=-1)
-        if self.needs_attitude:
-            moments = np.linalg.eigvalsh(bodies.inertia_kg_m2)
-            bound = bound + self.gradient_strength() / 2 * (moments[..., 2] - moments[..., 0])
-        return bound
+        vectors_N = [np.broadcast_to(vector, (len(B_from_N), 3)) for vector in (nadir, nadir_rate)]
+        return np.concatenate([np.einsum("nij,nj->ni", B_from_N, x) for x in vectors_N], axis=1)
 
     def attitude(self, B_from_N: npt.ArrayLike | None, sun_B: np.ndarray) -> np.ndarray:
-        """Return the attitude (4) at the start, that of N unless given; `MotionError` if the Sun is then not at `sun_B` (3)."""
+        """Return the attitude at the start as a unit quaternion (4), scalar last; the identity unless given.
+
+        MotionError if the environment's Sun is then not at `sun_B` (3), or if an attitude is given without an environment.
+        """
         here = self.here()
         if here is None:
             if B_from_N is not None:
                 do = "give the environment, or leave it out"
                 raise MotionError("B_from_N is the attitude in an environment", do=do)
             return np.array([0.0, 0.0, 0.0, 1.0])
-        given = (0.0, 0.0, 0.0, 1.0) if B_from_N is None else B_from_N
-        attitude = np.asarray(given, dtype=np.float64)
+        quaternion = (0.0, 0.0, 0.0, 1.0) if B_from_N is None else B_from_N
+        attitude = np.asarray(quaternion, dtype=np.float64)
         if attitude.shape != (4,) or not abs(np.linalg.norm(attitude) - 1) < SUN_TOLERANCE:
             raise MotionError("B_from_N must be a unit quaternion, scalar last", got=B_from_N)
         attitude = attitude / np.linalg.norm(attitude)
         from scipy.spatial.transform import Rotation
 
-        away = np.linalg.norm(Rotation.from_quat(attitude).apply(here.sun_N[0]) - sun_B)
-        if not away < SUN_TOLERANCE:
+        off = np.linalg.norm(Rotation.from_quat(attitude).apply(here.sun_N[0]) - sun_B)
+        if not off < SUN_TOLERANCE:
             raise MotionError(
                 "sun_B is not where B_from_N shows the environment's Sun",
-                got=f"{away:.2g} rad away",
+                got=f"{off:.2g} rad away",
             )
         return attitude
 
 
 NOTHING = Acting()
-"""No torque acts."""
+"""No torques, and no environment."""
 
 
 def acting(
     torques: Sequence[str | Steady], environment: Environment | None, t_s: float = 0.0
 ) -> Acting:
-    """Return the torques, by name or steady ones as they are, in their environment, for a motion that begins at `t_s`.
+    """Return the torques of the public argument `torques`, with their environment, for a motion that begins at `t_s`.
 
-    Raises `MotionError` for a name that is none, and for a torque that needs what the environment does not give.
+    Steady torques are given as objects, others by name. MotionError for an unknown name, and for a torque that needs what the
+    environment does not give.
     """
     if isinstance(torques, str):
         raise MotionError("torques must be a list", got=torques, do=f"write [{torques!r}]")

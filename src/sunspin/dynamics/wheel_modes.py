@@ -1,7 +1,7 @@
-"""Commands of wheels over time, and the limit of dry friction under them.
+"""Commands to wheels over time, and the limit of dry friction under them.
 
-Under "hold" a motor keeps the speed; under "coast" friction acts alone, and under "brake" the brake of the vehicle file besides.
-What a wheel then does (turn freely, stick, break away, reverse) follows in :mod:`sunspin.dynamics.kernels.wheels`.
+Under "hold" a motor keeps the speed. Under "coast" only friction acts, and under "brake" also the brake of the vehicle file.
+What a wheel then does (turn freely, stick, break away, reverse) is computed in :mod:`sunspin.dynamics.kernels.wheels`.
 """
 
 from __future__ import annotations
@@ -15,17 +15,20 @@ from sunspin.base.errors import MotionError
 from sunspin.vehicle import Vehicle, Wheel
 
 COMMANDS = ("coast", "hold", "brake")
-Schedule = tuple[tuple[float, str], ...]  # (from this time on, this command), times increasing
+# entries (time, command), times increasing: the command from that time on
+Schedule = tuple[tuple[float, str], ...]
 
 
 def mode_before(wheel_speed_rad_s: np.ndarray) -> str:
-    """The command under which motions with these speeds of the wheels (n, n_wheels) are run backward, where nothing else is known:
-    wheels at rest are taken to have stood still, since friction that holds a wheel forgets how it came to rest."""
+    """Return the command with which motions that have these wheel speeds (n, n_wheel) are run backward, if nothing else is known.
+
+    If all wheels are at rest they are assumed to have been at rest before: the motion does not determine when they stopped.
+    """
     return "coast" if np.any(wheel_speed_rad_s) else "hold"
 
 
 def schedules(vehicle: Vehicle, wheel_mode: Any) -> tuple[Schedule, ...]:
-    """One schedule per wheel from the public argument: a command, a schedule, or one of either per wheel."""
+    """Return one schedule per wheel, from the public argument: a command, a schedule, or one of either per wheel."""
     n = len(vehicle.wheels)
     if isinstance(wheel_mode, str) or _is_schedule(wheel_mode):
         return (_schedule(wheel_mode, vehicle.wheels),) * n
@@ -42,6 +45,7 @@ def schedules(vehicle: Vehicle, wheel_mode: Any) -> tuple[Schedule, ...]:
 
 
 def _is_schedule(item: Any) -> bool:
+    """Return whether `item` is a list of pairs (number, text)."""
     return (
         isinstance(item, Sequence)
         and len(item) > 0
@@ -51,6 +55,7 @@ def _is_schedule(item: Any) -> bool:
 
 
 def _schedule(item: Any, wheels: Sequence[Wheel]) -> Schedule:
+    """Return a command, or a list of pairs, as a schedule for `wheels`; MotionError if they cannot follow it."""
     if isinstance(item, str):
         entries: Schedule = ((-np.inf, item),)
     elif _is_schedule(item):
@@ -77,7 +82,7 @@ def _schedule(item: Any, wheels: Sequence[Wheel]) -> Schedule:
 
 
 def command_at(schedule: Schedule, t: float) -> str:
-    """The command in force at time t; before the first entry the first one holds."""
+    """Return the command in force at time t; before the first entry it is that of the first."""
     current = schedule[0][1]
     for start, command in schedule:
         if start <= t:
@@ -86,13 +91,13 @@ def command_at(schedule: Schedule, t: float) -> str:
 
 
 def switch_times(all_schedules: Sequence[Schedule], t_from: float, t_to: float) -> list[float]:
-    """Times strictly inside (t_from, t_to) at which some command changes, in the order in which the run meets them."""
+    """Return the times strictly between `t_from` and `t_to` at which a command changes, in the order of a run between them."""
     low, high = sorted((t_from, t_to))
     times = {t for schedule in all_schedules for t, _ in schedule if low < t < high}
     return sorted(times, reverse=bool(t_to < t_from))
 
 
 def friction_limit(wheel: Wheel, command: str, coulomb_N_m: Any = None) -> Any:
-    """Dry torque (N m) that opposes the wheel: Coulomb friction (the wheel's, or another), and the brake where it is on."""
+    """Return the limit of dry friction (N m): Coulomb friction (the wheel's own unless given), plus the brake if it is on."""
     coulomb = wheel.friction.coulomb_N_m if coulomb_N_m is None else coulomb_N_m
     return coulomb + (wheel.brake_torque_N_m or 0.0 if command == "brake" else 0.0)

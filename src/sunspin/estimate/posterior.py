@@ -407,7 +407,7 @@ def _about(
         "priors": json.dumps(nominal.prior_words),
         "priors_given": json.dumps({str(key): value for key, value in (priors or {}).items()}),
         "wheel_mode": json.dumps(mode),
-        "max_rate_rad_s": reference.given,
+        "max_rate_rad_s": reference.prior_max_rate,
         "searched_rate_rad_s": float(reference.limit),
         "time_sigma_s": model.panels.time_s,
     }

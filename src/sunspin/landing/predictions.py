@@ -18,8 +18,8 @@ import xarray as xr
 from sunspin.cases import case_names, load_case
 from sunspin.dynamics.batch import Rows
 from sunspin.estimate.lander.predict import (
-    Carried,
     DrawnMotions,
+    PredictedStates,
     attributes_of,
     checked_times,
     predictions,
@@ -114,7 +114,7 @@ def predict_through_collision(
             np.where(computed[:, None, None], values, np.nan)
             for values in moving.at(times[later], workers)
         )
-        parts.append(predictions(moving, Carried(*reached), times[later]))
+        parts.append(predictions(moving, PredictedStates(*reached), times[later]))
         action = "sticks for an instant"
         if collision != STICKS:
             action = f"hits (restitution {collision.restitution:g}, damper {collision.damper:g})"

@@ -4,30 +4,34 @@ The equations are quadratic, so that the coefficient of order k + 1 follows from
 
     omega = A^-1 (H - K - sum_free h u)                               `write_rates`
         A: inertia less J u u^T of the free wheels; K: momentum of the held ones
-    dH/dt = H x omega + torque,   dv/dt = v x omega                   `pair_writer`, `write_turned`
+    dH/dt = H x omega + torque,   dv/dt = v x omega                   `pair_writer`, `add_turned`
     dh/dt = -(sign(W) dry + viscous W),   W = h / J - u.omega         `write_series` (sign(W) dry is the row COULOMB)
     torque = 3 n^2 d x (I d),   dd/dt = d x (omega - turn)            `add_gravity_gradient`, `write_series`
 
-for every vector v that stands in space. Coefficients are scaled by the step: c[k] holds (dt^k / k!) d^k y / dt^k, and the state
+for every vector v that is fixed in space. Coefficients are scaled by the step: c[k] holds (dt^k / k!) d^k y / dt^k, and the state
 after the share x of the step is the sum of c[k] x^k.
 
-The part SPIN H of omega is left out: the rows OMEGA hold omega - SPIN H. H does not notice, since H x H = 0; a direction v is then
-seen from axes that turn about H at the rate SPIN |H|, which is most of its motion: what remains is slow, and steps are longer.
-`wheels.straighten` brings directions back whenever they are needed.
+**The common rotation** SPIN H is a part of omega that is treated apart: rows OMEGA hold omega - SPIN H. H itself does not depend
+on it, since H x H = 0. A direction v is then given in axes that rotate about H at the rate SPIN |H| relative to the body. That is
+most of its motion: the rest is slow, and steps are longer. `wheels.straighten` brings directions back to body axes when they are
+needed.
 
-Torques turn H in space. Then the part left out is SPIN PIVOT, of a vector that stands in space and was H when directions were last
-straightened: for them the same holds about PIVOT, exactly, and what remains is slow while H is near it (`wheels.follow_momentum`).
-H itself and the torque in space turn with omega, in rows of its own: H does not notice, and a torque that turns it by little in a
-step adds little to the last coefficients.
+Torques change H in space. Then the part treated apart is SPIN PIVOT. PIVOT is a vector fixed in space, equal to H when directions
+were last straightened. For directions the same holds about PIVOT, exactly, and the rest is slow while H is near it
+(`wheels.follow_momentum`). H itself and the torque in space are integrated with all of omega, which is in the rows RATE.
 
-What decides the speed, each found by measuring (`python -m bench kernels` keeps watch):
+**Names**: c, p, u are those arrays of :class:`~sunspin.dynamics.kernels.rows.Lanes`, and names in capitals their rows. l counts
+lanes, k orders, i wheels; w is where the numbers of a wheel begin. Single letters such as x, y, z and a, b, d are the components of
+one vector each.
+
+**What decides the speed**, each point found by measuring (`python -m bench kernels` repeats it):
 
 1. Offsets into arrays are constants, or a loop begins at 0. With an offset that is known at run time only, numba must check for
    negative indices and LLVM gives up vectors: 11 ns instead of 1.4 for a node of the histogram.
 2. Sums are written `a = a + m * z - n * y`, a chain of fused operations, and not `a += m * z - n * y`.
-3. Several orders in a pass (`move`, `wheels.are_watched`): short dependent chains over few lanes wait for themselves.
+3. Several orders are computed in a pass (`move`, `are_watched`): in short chains each operation waits for the one before.
 4. On processors with AVX-512 LLVM has to be told to use it (`processor`), and the number of rows is no power of two.
-5. Arrays may come in one NamedTuple, which costs nothing; argument lists of twenty arrays are not needed.
+5. Arrays may come in one NamedTuple, which costs nothing.
 """
 
 from __future__ import annotations
@@ -74,7 +78,10 @@ from sunspin.dynamics.processor import compiled
 
 @compiled
 def write_rates(lanes, n_wheels, k):
-    """Write coefficient k of omega less SPIN H, and of u.omega for each wheel."""
+    """Write coefficient k of omega - SPIN H into the rows OMEGA, and of u.omega for each wheel into ALONG.
+
+    omega - SPIN H = (A^-1 - SPIN) H - A^-1 K - sum_free h A^-1 u, with the rows REST, HELD_RATE and LIFT for the three parts.
+    """
     c, p, u = lanes.c, lanes.p, lanes.u
     for l in range(L):
         x, y, z = c[k, H + l], c[k, H + L + l], c[k, H + 2 * L + l]
@@ -92,7 +99,7 @@ def write_rates(lanes, n_wheels, k):
         w = i * PER_WHEEL
         for l in range(L):
             h = c[k, AXIAL + i * L + l]
-            # LIFT, A^-1 u, is zero for a wheel that is not free
+            # LIFT is zero for a wheel that is not free
             c[k, OMEGA + l] = c[k, OMEGA + l] - h * u[w + LIFT + l]
             c[k, OMEGA + L + l] = c[k, OMEGA + L + l] - h * u[w + LIFT + L + l]
             c[k, OMEGA + 2 * L + l] = c[k, OMEGA + 2 * L + l] - h * u[w + LIFT + 2 * L + l]
@@ -110,7 +117,7 @@ def write_rates(lanes, n_wheels, k):
 
 @compiled
 def write_rates_under_torques(c, p, k):
-    """Write coefficient k of omega, and of omega less SPIN PIVOT instead of omega less SPIN H."""
+    """Write coefficient k of omega into the rows RATE, and replace omega - SPIN H in the rows OMEGA by omega - SPIN PIVOT."""
     for l in range(L):
         spin = p[SPIN + l]
         x, y, z = spin * c[k, H + l], spin * c[k, H + L + l], spin * c[k, H + 2 * L + l]
@@ -124,7 +131,10 @@ def write_rates_under_torques(c, p, k):
 
 @compiled
 def add_turned(c, k, V, rate, slope):
-    """Add coefficient k of v x w to `slope` (3 L), v and w being the vectors in the rows from V and from `rate`."""
+    """Add coefficient k of v x w to `slope` (3 L). The vectors v and w are in the rows from V and from `rate` on.
+
+    The coefficient of a product is the sum of the products of coefficients i and k - i.
+    """
     for i in range(k + 1):
         j = k - i
         for l in range(L):
@@ -135,20 +145,11 @@ def add_turned(c, k, V, rate, slope):
             slope[2 * L + l] = slope[2 * L + l] + a * y - b * x
 
 
-@compiled
-def write_turned(c, p, k, V, slope):
-    """Write coefficient k + 1 of a vector v that stands in space, in the rows from V: of dv/dt = v x omega, under torques."""
-    for l in range(3 * L):
-        slope[l] = 0.0
-    add_turned(c, k, V, RATE, slope)
-    write_next(c, p, k, V, slope)
-
-
 def pair_writer(V: int, U: int, W: int) -> Any:
-    """Return the function that writes coefficient k of v x w and u x w for two vectors into `slope` (6 L), w being a rate.
+    """Return a function that writes coefficient k of v x w and of u x w into `slope` (6 L), for two vectors and a rate w.
 
-    They lie in the rows from V, U and W, constants of its machine code (rule 1). The products (i, j) and (j, i), j = k - i, are
-    added together, and the rate is read once for both vectors: 0.4 of the time of two calls of `write_turned`.
+    They are in the rows from V, U and W on, which are constants of its machine code (rule 1). The products (i, j) and (j, i), with
+    j = k - i, are added together, and the rate is read once for both vectors: 0.4 of the time of two calls of `add_turned`.
     """
 
     @compiled
@@ -171,7 +172,7 @@ def pair_writer(V: int, U: int, W: int) -> Any:
                 slope[3 * L + l] = slope[3 * L + l] + b * z - d * y + f * r - g * q
                 slope[4 * L + l] = slope[4 * L + l] + d * x - a * z + g * p - e * r
                 slope[5 * L + l] = slope[5 * L + l] + a * y - b * x + e * q - f * p
-        if k % 2 == 0:  # the product in the middle is its own partner
+        if k % 2 == 0:  # the product with i = j
             i = k // 2
             for l in range(L):
                 x, y, z = c[i, W + l], c[i, W + L + l], c[i, W + 2 * L + l]
@@ -188,18 +189,16 @@ def pair_writer(V: int, U: int, W: int) -> Any:
 
 
 write_H_and_sun, write_attitude = pair_writer(H, SUN, OMEGA), pair_writer(NX, NY, OMEGA)
-"""Half of all time is spent in the first. H x omega is H x (omega - SPIN H)."""
+"""Writers of derivatives: of H and the direction to the Sun, where half of all time is spent, and of the axes x and y of N."""
 
-write_H_and_torque, write_sun_and_pivot = (
-    pair_writer(H, TORQUE, RATE),
-    pair_writer(SUN, PIVOT, OMEGA),
-)
-"""The same under torques."""
+write_H_and_torque = pair_writer(H, TORQUE, RATE)
+write_sun_and_pivot = pair_writer(SUN, PIVOT, OMEGA)
+"""The same under torques: of H and the torque in space, and of the direction to the Sun and PIVOT."""
 
 
 @compiled
 def write_next_pair(c, p, k, V, U, slope):
-    """Write coefficient k + 1 of two vectors in the rows from V and U from coefficient k of their derivatives, `slope` (6 L)."""
+    """Write coefficient k + 1 of two vectors, in rows from V and U on, from coefficient k of their derivatives, `slope` (6 L)."""
     part = 1.0 / (k + 1)
     for l in range(L):
         d = part * p[DT + l]
@@ -215,7 +214,7 @@ def write_next_pair(c, p, k, V, U, slope):
 def add_gravity_gradient(c, p, k, slope):
     """Add coefficient k of the gravity gradient, 3 n^2 d x (I d) with the nadir d (eq. 23), to the first three rows of `slope`.
 
-    Few motions have it, so that the rule on sums (2) is not followed here.
+    Few motions have it, so rule 2 on sums is not followed here.
     """
     for i in range(k + 1):
         j = k - i
@@ -232,7 +231,7 @@ def add_gravity_gradient(c, p, k, slope):
 
 @compiled
 def write_next(c, p, k, V, slope):
-    """Write coefficient k + 1 of the vector in the rows from V from coefficient k of its derivative, `slope` (3 L)."""
+    """Write coefficient k + 1 of a vector, in the rows from V on, from coefficient k of its derivative, `slope` (3 L)."""
     part = 1.0 / (k + 1)
     for j in range(3):
         for l in range(L):
@@ -241,7 +240,10 @@ def write_next(c, p, k, V, slope):
 
 @compiled
 def write_series(lanes, n_wheels, order, torques, attitude):
-    """Write all coefficients of the motion up to `order`, from the state in c[0]."""
+    """Write all coefficients of the motion up to `order`, from the state in c[0].
+
+    `torques` is a code of `rows`; `attitude`: whether the axes of N are integrated too.
+    """
     c, p, u, slope = lanes.c, lanes.p, lanes.u, lanes.slope
     for k in range(order):
         write_rates(lanes, n_wheels, k)
@@ -259,8 +261,12 @@ def write_series(lanes, n_wheels, order, torques, attitude):
             write_sun_and_pivot(c, k, slope)
             write_next_pair(c, p, k, SUN, PIVOT, slope)
             if torques == GRADIENT:
-                write_turned(c, p, k, TURN, slope)
-                # the nadir d turns in space: d x (omega - turn) = turn x d + d x omega
+                # the rate of the nadir is fixed in space
+                for l in range(3 * L):
+                    slope[l] = 0.0
+                add_turned(c, k, TURN, RATE, slope)
+                write_next(c, p, k, TURN, slope)
+                # the nadir d rotates in space: d x (omega - turn) = turn x d + d x omega
                 for l in range(3 * L):
                     slope[l] = 0.0
                 add_turned(c, k, TURN, NADIR, slope)
@@ -284,37 +290,32 @@ def write_series(lanes, n_wheels, order, torques, attitude):
 
 
 SIXTEENTH_ROOT_ABOVE = 11
-"""Order up to which an 8th root serves for the length of a step, and above it a 16th."""
+"""Order up to which an 8th root is used for the length of a step, and above it a 16th."""
 
 
 @compiled
 def write_share(lanes, order):
-    """Write into `share[:L]` the share x of the step that keeps the error allowed per second: |c_N| x^N = allowed x dt.
+    """Write into `share[:L]` the length of the next step, as a share x of the last one, by the error allowed per second.
 
-    H and r alone steer the step: errors of other vectors, which turn with the same omega, are as large. x is found after the
-    coefficients and before the series is evaluated, and may exceed one; so no step is repeated. `motions.GROWTH` limits it. The
-    root taken is the 8th or the 16th, not the (N - 1)th: each step begins from the length of the last one, and in a few steps the
-    length settles where x is one, which is where the last coefficient is what is allowed. The coefficient before the last counts
-    by a quarter, found by trial: the last alone may vanish by chance.
+    The error of a step is estimated by the last coefficient, |c_N| x^N, and compared with allowed x dt. Only H and r are looked at:
+    errors of other vectors, which rotate with the same omega, are as large. x is computed after the coefficients and before the
+    series is evaluated, and may exceed one, so no step is repeated. `motions.GROWTH` limits it.
+
+    The 8th or the 16th root is taken, not the (N - 1)th: each step begins from the length of the last one, and in a few steps the
+    length settles at x = 1, where the last coefficient is what is allowed. The coefficient before the last counts by a quarter, a
+    factor found by trial: the last alone may vanish by chance.
     """
     c, p, share = lanes.c, lanes.p, lanes.share
+    n, m = order, order - 1
     tiny = 1e-30
     for l in range(L):
         per_H = p[INVERSE_H + l]
-        a = (
-            max(abs(c[order, H + l]), abs(c[order, H + L + l]), abs(c[order, H + 2 * L + l]))
-            * per_H
-        )
-        n = order - 1
-        b = max(abs(c[n, H + l]), abs(c[n, H + L + l]), abs(c[n, H + 2 * L + l])) * per_H
-        a = max(
-            a,
-            abs(c[order, SUN + l]),
-            abs(c[order, SUN + L + l]),
-            abs(c[order, SUN + 2 * L + l]),
-        )
-        b = max(b, abs(c[n, SUN + l]), abs(c[n, SUN + L + l]), abs(c[n, SUN + 2 * L + l]))
-        ratio = p[ALLOWED + l] * abs(p[DT + l]) / (max(a, 0.25 * b) + tiny)
+        # largest component of H over |H|, then of r, in the last coefficient and in the one before
+        last = max(abs(c[n, H + l]), abs(c[n, H + L + l]), abs(c[n, H + 2 * L + l])) * per_H
+        before = max(abs(c[m, H + l]), abs(c[m, H + L + l]), abs(c[m, H + 2 * L + l])) * per_H
+        last = max(last, abs(c[n, SUN + l]), abs(c[n, SUN + L + l]), abs(c[n, SUN + 2 * L + l]))
+        before = max(before, abs(c[m, SUN + l]), abs(c[m, SUN + L + l]), abs(c[m, SUN + 2 * L + l]))
+        ratio = p[ALLOWED + l] * abs(p[DT + l]) / (max(last, 0.25 * before) + tiny)
         share[l] = math.sqrt(math.sqrt(math.sqrt(ratio)))
     if order > SIXTEENTH_ROOT_ABOVE:
         for l in range(L):
@@ -323,7 +324,7 @@ def write_share(lanes, order):
 
 @compiled
 def rows_in_use(n_wheels, torques, attitude):
-    """Return how many rows of the state, from the first on, take part in the motion; their order is that of `rows`."""
+    """Return how many rows of the state, from the first on, have to be advanced; rows are in the order of the module `rows`."""
     of_torques = 6 + WHEELS + 6  # H, r and h; the torque in space and PIVOT
     if torques == GRADIENT:
         return STATE_ROWS
@@ -334,10 +335,10 @@ def rows_in_use(n_wheels, torques, attitude):
 
 @compiled
 def move(lanes, order, n_rows):
-    """Advance the state y by the share of the step that each lane goes, four orders in a pass, and copy it to c[0].
+    """Advance the state y by the share x of the step that each lane takes: y + sum of c[k] x^k, by Horner's rule; copy it to c[0].
 
-    `share` holds the share of each lane in all rows. Coefficients beyond `order` are zero, as the arrays of a run are made for its
-    order; so are those of rows in use that no equation writes (the attitude, if only torques are asked for).
+    Four orders are added in a pass. Coefficients beyond `order` are zero, as are those of rows in use that no equation writes (such
+    as the attitude, if it is not computed).
     """
     c, y, share, sums = lanes.c, lanes.y, lanes.share, lanes.sums
     top = 4 * ((order + 3) // 4)
@@ -357,7 +358,7 @@ def move(lanes, order, n_rows):
 
 @compiled
 def value_at(c, order, row, x):
-    """Return what stands in one place of a row at the share x of the step: the sum of c[k] x^k."""
+    """Return the number at index `row` of the state at the share x of the step: the sum of c[k] x^k."""
     total = c[order, row]
     for k in range(order - 1, -1, -1):
         total = total * x + c[k, row]

@@ -1,8 +1,8 @@
-"""Many motions through the Taylor kernel: into lanes, step by step, and out again.
+"""The Taylor kernel: it loads motions into lanes, advances them step by step, and writes their results.
 
 Each lane takes steps of its own length, and takes the next motion as soon as its own has ended. A step has six parts, marked
-in `advance`: series, length, events, outputs, state, and what ends with it. No number of one lane enters another: a motion does not
-depend on its neighbours, to the last bit.
+in `advance`: series, length, events, outputs, state, and the end of the step. No number of one lane enters another: the result of a
+motion does not depend on its neighbours, to the last bit. Names are those of :mod:`~sunspin.dynamics.kernels.flow`.
 """
 
 from __future__ import annotations
@@ -77,7 +77,7 @@ from sunspin.dynamics.kernels.wheels import (
 from sunspin.dynamics.processor import cached, compiled, digest
 
 FIRST_ANGLE = 0.3
-"""rad of the first step; the law of steps needs two or three to find the length allowed."""
+"""Length of the first step, rad of rotation; after two or three steps their length is that allowed (`flow.write_share`)."""
 
 GROWTH = 2.0
 """Largest ratio of a step to the one before."""
@@ -87,11 +87,11 @@ TIME_ROUNDING = 1e-12
 
 
 class LaneClock(NamedTuple):
-    """How far the lanes are, (L) each.
+    """Progress of the lanes, (L) each.
 
     `row`: number of the motion, -1 for an idle lane; `due`: number of the next output; `left` and `until`: seconds to the end of
-    the run and to that output; `planned`: seconds of the next step; `steps`; `wheel`: the wheel whose event ends the step, or -1;
-    `stops`: whether the lane has to be looked at after the step.
+    the run and to that output; `planned`: length of the next step, s; `steps`: number of steps; `wheel`: the wheel whose event ends
+    the step, or -1; `stops`: whether an output, an event or the end of the motion is due in the step.
     """
 
     row: np.ndarray
@@ -107,7 +107,7 @@ class LaneClock(NamedTuple):
 # ---- into a lane ---------------------------------------------------------------------------------
 @compiled
 def load(lanes, clock, motions, task, l, row):
-    """Load motion `row` into lane l, at its begin; return whether its numbers are finite."""
+    """Load motion `row` in its initial state into lane l; return whether its numbers are finite."""
     y, p, u = lanes.y, lanes.p, lanes.u
     n_wheels = len(motions.axes)
     body = row if len(motions.inertia) > 1 else 0
@@ -117,7 +117,7 @@ def load(lanes, clock, motions, task, l, row):
     omega, speeds = motions.omega_B[row], motions.speeds[row]
     for j in range(ROWS):
         y[j * L + l] = 0.0
-    for k in range(3):
+    for k in range(3):  # H without the wheels, which are added below
         y[H + k * L + l] = (
             inertia[k, 0] * omega[0] + inertia[k, 1] * omega[1] + inertia[k, 2] * omega[2]
         )
@@ -130,24 +130,25 @@ def load(lanes, clock, motions, task, l, row):
     y[NX + l], y[NY + L + l] = 1.0, 1.0
     for i in range(n_wheels):
         w = i * PER_WHEEL + l
-        axis, j, dry = motions.axes[i], wheel[i, 0], wheel[i, 1]
+        axis, axial_inertia, dry = motions.axes[i], wheel[i, 0], wheel[i, 1]
         along = axis[0] * omega[0] + axis[1] * omega[1] + axis[2] * omega[2]
-        y[AXIAL + i * L + l] = j * (speeds[i] + along)
+        # h = J (W + u.omega)
+        y[AXIAL + i * L + l] = axial_inertia * (speeds[i] + along)
         for k in range(3):
             u[w + AXIS + k * L] = axis[k]
-        u[w + INVERSE_J], u[w + DRY], u[w + VISCOUS] = 1.0 / j, dry, wheel[i, 2]
+        u[w + INVERSE_J], u[w + DRY], u[w + VISCOUS] = 1.0 / axial_inertia, dry, wheel[i, 2]
         u[w + KEPT] = 0.0
         if motions.driven[i]:
             u[w + KEPT], u[w + DRY] = speeds[i], 0.0
             stick(u, w)
-        elif speeds[i] == 0.0 and dry > 0.0:  # whether friction can hold it, `settle` says
-            stick(u, w)
+        elif speeds[i] == 0.0 and dry > 0.0:
+            stick(u, w)  # `settle` below releases it if friction cannot hold it
         else:
             slip(u, w, 1.0 if speeds[i] > 0.0 else -1.0)
         for k in range(3):
-            y[H + k * L + l] += j * speeds[i] * axis[k]
+            y[H + k * L + l] += axial_inertia * speeds[i] * axis[k]
             if u[w + FREE] < 0.5:
-                p[HELD + k * L + l] += j * speeds[i] * axis[k]
+                p[HELD + k * L + l] += axial_inertia * speeds[i] * axis[k]
     p[PULL + l] = motions.pull
     at = 0
     for a in range(3):
@@ -171,16 +172,16 @@ def load(lanes, clock, motions, task, l, row):
 
 @compiled
 def idle(lanes, clock, l):
-    """Let lane l stand still: no motion is left for it."""
+    """Give lane l steps of no length: no motion is left for it."""
     clock.row[l], clock.left[l], clock.until[l], lanes.p[DT + l] = -1, 0.0, np.inf, 0.0
 
 
 # ---- out of a lane -------------------------------------------------------------------------------
 @compiled
 def write_state(lanes, n_wheels, l, task, seconds, state):
-    """Write a state of lane l from `lanes.spare` into `state`: H, h, Sun, omega, speeds, axes of N (:class:`rows.Answer`).
+    """Write the state of lane l in `lanes.spare` into `state`, in the order of :class:`rows.Answer`.
 
-    `seconds`: how long directions have been seen from axes that turn about H, or PIVOT.
+    `seconds`: time since directions were last straightened.
     """
     y, u = lanes.spare, lanes.u
     vector, omega = np.empty(3), np.empty(3)
@@ -210,7 +211,7 @@ def write_state(lanes, n_wheels, l, task, seconds, state):
 
 @compiled
 def write_output(lanes, n_wheels, l, task, x, state):
-    """Write the state of lane l at the share x of its step into `state`. To be called before the step is taken."""
+    """Write the state of lane l at the share x of its step into `state`, before the step is taken."""
     for j in range(rows_in_use(n_wheels, task.torques, task.attitude)):
         lanes.spare[j * L + l] = value_at(lanes.c, task.order, j * L + l, x)
     seconds = lanes.since[l] + x * lanes.p[DT + l]
@@ -233,11 +234,10 @@ def write_due(lanes, clock, n_wheels, l, task, states):
     last = len(ends) - 1
     while clock.due[l] <= last and not clock.until[l] > TIME_ROUNDING * duration:
         if states.shape[1]:
-            # the last output is the end of the run: the state there, whatever its time has lost by rounding
-            exact = clock.due[l] < last or clock.wheel[l] >= 0
-            back = (
-                clock.until[l] if exact else 0.0
-            )  # not positive: the output lies before the end of the step
+            # seconds from the end of the step to the output, not positive; the last output is at the end of the run, where
+            # `until` differs from zero only by rounding
+            inside = clock.due[l] < last or clock.wheel[l] >= 0
+            back = clock.until[l] if inside else 0.0
             x = lanes.share[l] + back / max(dt, 1e-300)
             write_output(lanes, n_wheels, l, task, x, states[clock.due[l]])
         clock.due[l] += 1
@@ -247,7 +247,7 @@ def write_due(lanes, clock, n_wheels, l, task, states):
 # ---- the run -------------------------------------------------------------------------------------
 @compiled
 def end_step(lanes, clock, motions, task, answer, l):
-    """After the step of lane l: take it through its event, and return whether its motion has ended."""
+    """Let the wheel of lane l have the event at the end of its step, if any; return whether the motion has ended."""
     n_wheels, row = len(motions.axes), clock.row[l]
     done = clock.due[l] >= len(task.ends)
     if clock.wheel[l] >= 0:
@@ -272,7 +272,7 @@ def end_step(lanes, clock, motions, task, answer, l):
 
 @compiled
 def take_next(lanes, clock, motions, task, answer, queue):
-    """Load the next motions of the queue into the lanes that are marked in `clock.stops`; return how many of these stay idle.
+    """Load the next motions of the queue into the lanes that are marked in `clock.stops`; return how many of these become idle.
 
     queue : (n + 1) int
         Numbers of the motions; the last entry counts how many have been taken.
@@ -298,34 +298,36 @@ def take_next(lanes, clock, motions, task, answer, queue):
 
 @compiled
 def advance(queue, motions, task, answer, work):
-    """Run the motions of the queue and write what becomes of them into `answer`.
+    """Compute the motions of the queue, and write their results into `answer`.
 
+    queue : (n + 1) int
+        As of `take_next`.
     work : histogram.Nodes
-        With room for the histogram, if one is wanted.
+        Working arrays of the histogram, used if `answer.hist` has bins.
     """
     n_wheels, order = len(motions.axes), task.order
     orders = 4 * ((order + 3) // 4) + 2
     lanes = Lanes(
-        np.zeros((orders, ROWS * L)),
-        np.zeros(ROWS * L),
-        np.zeros(NUMBERS * L),
-        np.zeros(WHEELS * PER_WHEEL),
-        np.zeros(STATE_ROWS * L),
-        np.zeros(L),
-        np.zeros(6 * L),
-        np.zeros(ROWS * L),
-        np.zeros(orders),
-        np.zeros(ROWS * L),
+        c=np.zeros((orders, ROWS * L)),
+        y=np.zeros(ROWS * L),
+        p=np.zeros(NUMBERS * L),
+        u=np.zeros(WHEELS * PER_WHEEL),
+        share=np.zeros(STATE_ROWS * L),
+        since=np.zeros(L),
+        slope=np.zeros(6 * L),
+        sums=np.zeros(ROWS * L),
+        polynomial=np.zeros(orders),
+        spare=np.zeros(ROWS * L),
     )
     clock = LaneClock(
-        np.full(L, -1),
-        np.zeros(L, np.int64),
-        np.zeros(L),
-        np.full(L, np.inf),
-        np.zeros(L),
-        np.zeros(L, np.int64),
-        np.full(L, -1),
-        np.full(L, True),
+        row=np.full(L, -1),
+        due=np.zeros(L, np.int64),
+        left=np.zeros(L),
+        until=np.full(L, np.inf),
+        planned=np.zeros(L),
+        steps=np.zeros(L, np.int64),
+        wheel=np.full(L, -1),
+        stops=np.full(L, True),
     )
     margin, share = np.zeros(L), lanes.share
     n_rows = rows_in_use(n_wheels, task.torques, task.attitude)
@@ -337,7 +339,7 @@ def advance(queue, motions, task, answer, work):
     while busy:
         # series of the motion, from the state
         write_series(lanes, n_wheels, order, task.torques, task.attitude)
-        # length of the step, as its share x of the last one's
+        # length: the next step by the error allowed; this one ends at the end of the run at the latest
         write_share(lanes, order)
         for l in range(L):
             dt = abs(lanes.p[DT + l])
@@ -346,17 +348,17 @@ def advance(queue, motions, task, answer, work):
                 x = min(x, longest_step(work, l, duration) / max(dt, 1e-300))
             clock.planned[l] = x * lanes.p[DT + l]
             share[l] = min(x, clock.left[l] / max(dt, 1e-300))
-        # events: the step is cut at the first
+        # events: the step ends at the first
         if n_wheels and are_watched(lanes, n_wheels, order, margin):
             for l in range(L):
                 if margin[l] <= 0.0 and clock.row[l] >= 0:
                     clock.wheel[l], share[l] = first_event(lanes, n_wheels, order, l, share[l])
-        # outputs that fall into the step
+        # outputs in the step
         any_stops = False
         for l in range(L):
-            gone = share[l] * abs(lanes.p[DT + l])
-            clock.left[l] -= gone
-            clock.until[l] -= gone
+            seconds = share[l] * abs(lanes.p[DT + l])
+            clock.left[l] -= seconds
+            clock.until[l] -= seconds
             clock.steps[l] += 1
             reached = not clock.until[l] > TIME_ROUNDING * duration
             clock.stops[l] = reached or clock.wheel[l] >= 0 or clock.steps[l] >= task.most_steps
@@ -379,7 +381,7 @@ def advance(queue, motions, task, answer, work):
             deposit_step(lanes, work, n_wheels)
         for l in range(L):
             lanes.p[DT + l] = clock.planned[l]
-        # what ends with the step
+        # the end of the step: events, and motions that have ended
         if any_stops:
             for l in range(L):
                 row = clock.row[l]
@@ -403,6 +405,7 @@ def _entry(sources: int) -> Any:
 
     @cached("compiling the integrator of motions, once (some 20 s)")
     def run(queue, motions, task, answer, work):
+        """Compute the motions of a queue (:func:`advance`)."""
         _ = sources
         advance(queue, motions, task, answer, work)
 

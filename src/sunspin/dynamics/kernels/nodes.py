@@ -1,4 +1,7 @@
-"""Nodes of the histogram in a step of the Taylor kernel: at its thirds and at its end, for all lanes at once."""
+"""Nodes of the histogram (:mod:`~sunspin.dynamics.kernels.histogram`) in a step of the Taylor kernel: at its thirds and at its end.
+
+Names are those of :mod:`~sunspin.dynamics.kernels.flow`; `nodes` are the working arrays of a histogram.
+"""
 
 from __future__ import annotations
 
@@ -30,12 +33,12 @@ from sunspin.dynamics.kernels.rows import (
 from sunspin.dynamics.processor import compiled
 
 WAYS = 3
-"""Between nodes, in a step."""
+"""Ways in a step, each between two nodes."""
 
 
 @compiled
 def write_state_at(lanes, nodes, n_wheels, order, part):
-    """Write H, r and h of all lanes at `part` of their steps into `nodes.state`, four orders of the series in a pass."""
+    """Write H, r and h of all lanes at the part `part` of their steps into `nodes.state`: the series, four orders in a pass."""
     c, share, state = lanes.c, lanes.share, nodes.state
     top = 4 * ((order + 3) // 4)
     for j in range((6 + n_wheels) * L):
@@ -50,7 +53,10 @@ def write_state_at(lanes, nodes, n_wheels, order, part):
 
 @compiled
 def write_half_angle(lanes, nodes, seconds_before):
-    """Write half the angle by which directions have turned about H, within +-pi/2, `seconds_before` (L) before `lanes.since`."""
+    """Write into `nodes.angle` half the angle of the common rotation about H, within +-pi/2.
+
+    It is that at `seconds_before` (L) before the time of `lanes.since`; its rate is SPIN |H|.
+    """
     p, angle = lanes.p, nodes.angle
     for l in range(L):
         inverse = p[INVERSE_H + l]  # zero at rest, where nothing turns
@@ -63,10 +69,12 @@ def write_half_angle(lanes, nodes, seconds_before):
 def write_node(lanes, nodes, n_wheels, node):
     """Write the direction to the Sun, its slope and the square of the body rate from `nodes.state` into `node` (7 rows).
 
-    `nodes.angle` holds half the angle of the common turn about H. `node` is a slice of `nodes.at`, so that its rows begin at 0.
+    `nodes.angle` holds half the angle of the common rotation about H, and is overwritten. `node` is a slice of `nodes.at`, so that
+    its rows begin at 0.
     """
     p, u, m, angle = lanes.p, lanes.u, nodes.state, nodes.angle
-    for l in range(L):  # omega, for the time being in the rows of the slope
+    # omega = A^-1 (H - K - sum_free h u), written into the rows of the slope until the slope replaces it
+    for l in range(L):
         a, b, c = m[H + l], m[H + L + l], m[H + 2 * L + l]
         x = p[INVERSE + l] * a + p[INVERSE + L + l] * b + p[INVERSE + 2 * L + l] * c
         y = p[INVERSE + L + l] * a + p[INVERSE + 3 * L + l] * b + p[INVERSE + 4 * L + l] * c
@@ -81,7 +89,8 @@ def write_node(lanes, nodes, n_wheels, node):
             node[3 * L + l] -= h * u[w + LIFT + l]
             node[4 * L + l] -= h * u[w + LIFT + L + l]
             node[5 * L + l] -= h * u[w + LIFT + 2 * L + l]
-    for l in range(L):  # sine and cosine of the half angle, as polynomials that vectors can compute
+    # sine and cosine of the half angle, as polynomials, which compile to vector operations
+    for l in range(L):
         f = angle[l]
         q = f * f
         sine = f + f * q * (
@@ -89,13 +98,13 @@ def write_node(lanes, nodes, n_wheels, node):
         )
         cosine = 1.0 + q * (-1 / 2 + q * (1 / 24 + q * (-1 / 720 + q * (1 / 40320 - q / 3628800))))
         angle[l], angle[L + l] = sine, cosine
-    for l in range(L):  # Rodrigues' formula about H
+    for l in range(L):  # the direction rotated about H by the whole angle (Rodrigues' formula)
         a, b, c = m[H + l], m[H + L + l], m[H + 2 * L + l]
         x, y, z = m[SUN + l], m[SUN + L + l], m[SUN + 2 * L + l]
         i = p[INVERSE_H + l]
-        e = 2.0 * angle[l] * angle[l]
-        f = 2.0 * angle[l] * angle[L + l] * i
-        g = 1.0 - e
+        e = 2.0 * angle[l] * angle[l]  # 1 - cosine
+        f = 2.0 * angle[l] * angle[L + l] * i  # sine / |H|
+        g = 1.0 - e  # cosine
         e = e * i * i * (a * x + b * y + c * z)
         node[l] = g * x + f * (y * c - z * b) + e * a
         node[L + l] = g * y + f * (z * a - x * c) + e * b
@@ -111,14 +120,14 @@ def write_node(lanes, nodes, n_wheels, node):
 
 @compiled
 def longest_step(nodes, l, duration):
-    """Return the longest step (s) of lane l: its ways must be short in angle and in number of ways of the whole run."""
+    """Return the longest step (s) of lane l, so that a way is at most `tolerance` rad and a run of `duration` has enough ways."""
     rate = math.sqrt(nodes.at[NODE + 6 * L + l] + 1e-20)
     return WAYS * min(nodes.tolerance / rate, duration / MIN_WAYS)
 
 
 @compiled
 def begin(lanes, nodes, n_wheels):
-    """Write the first node of all lanes from their states: after one was loaded or passed an event."""
+    """Write the first node of all lanes from their states, after a motion was loaded into a lane or had an event."""
     for j in range((6 + n_wheels) * L):
         nodes.state[j] = lanes.c[0, j]
     write_half_angle(lanes, nodes, np.zeros(L))
@@ -128,7 +137,7 @@ def begin(lanes, nodes, n_wheels):
 
 @compiled
 def write_inner_nodes(lanes, nodes, n_wheels, order):
-    """Write the nodes at the thirds of the step. To be called before the step is taken."""
+    """Write the nodes at the thirds of the step, before the step is taken."""
     before, at = np.empty(L), nodes.at
     for k in range(1, WAYS):
         write_state_at(lanes, nodes, n_wheels, order, k / WAYS)
@@ -148,7 +157,8 @@ def deposit_step(lanes, nodes, n_wheels):
         nodes.state[j] = lanes.c[0, j]
     write_half_angle(lanes, nodes, np.zeros(L))
     write_node(lanes, nodes, n_wheels, at[NODE + WAYS * PER_NODE : NODE + (WAYS + 1) * PER_NODE])
-    add_way(nodes, 0)  # written out: in a loop the rows would not be known, six times slower
+    # no loop: its indices would not be constants (rule 1 of `flow`), six times slower
+    add_way(nodes, 0)
     add_way(nodes, 1)
     add_way(nodes, 2)
     for l in range(PER_NODE):

@@ -1,9 +1,10 @@
-"""Where the numbers of motions lie that advance side by side.
+"""Positions of numbers in the arrays of the kernels, in which L motions advance together.
+
+Each motion occupies a lane. A row holds one number of all lanes, one after the other, so that the processor's vectors hold the same
+number of several motions: number X of lane l is at index X + l, and X is a multiple of L. A vector takes three rows, a symmetric
+matrix six (xx, xy, xz, yy, yz, zz). Symbols are those of :mod:`sunspin.dynamics.gyrostat`.
 
 A wheel is *free*, or it is held: *driven* if a motor keeps its speed, *stuck* if friction keeps it at rest.
-
-L motions fill L lanes. A row is one number of all lanes, one after the other, so that the processor's vectors hold the same number
-of several motions: number X of lane l lies at X + l, where X is a multiple of L. A vector takes three rows.
 """
 
 from __future__ import annotations
@@ -13,31 +14,31 @@ from typing import NamedTuple
 import numpy as np
 
 L = 32
-"""Lanes. 16 take 1.05 to 1.2 of the time on a processor with vectors of eight numbers."""
+"""Number of lanes. 16 take 1.05 to 1.2 of the time on a processor with vectors of eight numbers."""
 
 WHEELS = 4
-"""Wheels that there is room for."""
+"""Largest number of wheels."""
 
 # ---- the state, and its coefficients -------------------------------------------------------------
 H = 0  # total angular momentum, N m s
 SUN = 3 * L  # direction to the Sun
 AXIAL = 6 * L  # h of wheel i at AXIAL + i L, N m s
-TORQUE = AXIAL + WHEELS * L  # the torque that stands in space, N m
-PIVOT = (
-    TORQUE + 3 * L
-)  # under torques: H as it was when directions were last straightened, standing in space
+TORQUE = AXIAL + WHEELS * L  # the torque that is constant in space, N m
+# under torques: a vector fixed in space, equal to H when directions were last straightened (`wheels.straighten`)
+PIVOT = TORQUE + 3 * L
 NX, NY = PIVOT + 3 * L, PIVOT + 6 * L  # the axes x and y of N, which give the attitude
 NADIR = NY + 3 * L
-TURN = NADIR + 3 * L  # rate at which the nadir turns in space, rad/s
+TURN = NADIR + 3 * L  # rate at which the nadir rotates in space, rad/s
 STATE_ROWS = 6 + WHEELS + 18
 OMEGA = STATE_ROWS * L  # omega less SPIN H, under torques less SPIN PIVOT
 RATE = OMEGA + 3 * L  # omega, under torques only
 ALONG = RATE + 3 * L  # u.omega of wheel i at ALONG + i L
-ROWS = STATE_ROWS + 6 + WHEELS + 1  # no power of two, which would crowd the processor's cache
+# no power of two: the rows would compete for few places in the processor's cache
+ROWS = STATE_ROWS + 6 + WHEELS + 1
 
 # ---- numbers of the motion in a lane -------------------------------------------------------------
 DT = 0  # length of the step, s, negative backward in time
-SPIN = L  # share of H, or PIVOT, that is left out of omega, 1/(kg m2)
+SPIN = L  # the part SPIN H, or SPIN PIVOT, of omega is treated apart (`flow`); 1/(kg m2)
 HELD = 2 * L  # K, momentum of the wheels that do not turn freely (3)
 INVERSE = 5 * L  # A^-1: xx, xy, xz, yy, yz, zz
 TORQUE_B = 11 * L  # torque that is constant in body axes (3), N m
@@ -63,27 +64,20 @@ PER_WHEEL = 13 * L
 
 # ---- how a motion ends, and what a motion is run for ---------------------------------------------
 FINE, CHATTERS, PAST_UNKNOWN, NOT_FINITE = 0, 1, 2, 3
-STOPS, BREAKS_AWAY, REVERSES, RESTS, OVERLOADED = (
-    0,
-    1,
-    2,
-    3,
-    4,
-)  # what a wheel does (wheels.pass_event)
-NO_TORQUE, STEADY, GRADIENT = (
-    0,
-    1,
-    2,
-)  # torques: none; constant in body axes and in space; and the gravity gradient
+# what a wheel does at an event (`wheels.pass_event`)
+STOPS, BREAKS_AWAY, REVERSES, RESTS, OVERLOADED = range(5)
+# torques: none; constant in body axes and in space; these and the gravity gradient
+NO_TORQUE, STEADY, GRADIENT = range(3)
 
 
 class Lanes(NamedTuple):
     """Working arrays of the lanes, float64.
 
-    `c` (orders, ROWS L): coefficients of the Taylor series, scaled by the step; rows beyond the order are zero. `y` (ROWS L): the
-    state at the begin of the step. `p` (NUMBERS L), `u` (WHEELS PER_WHEEL). `share` (STATE_ROWS L): share of the step that a lane
-    goes, repeated for each row of the state. `since` (L): seconds since directions were last seen from axes that do not turn
-    (SPIN). `slope` (6 L), `sums` (ROWS L), `polynomial` (orders), `spare` (ROWS L): scratch.
+    `c` (orders, ROWS L): coefficients of the Taylor series, scaled by the step; those beyond the order are zero. `y` (ROWS L): the
+    state at the start of the step. `p` (NUMBERS L): numbers of the motion; `u` (WHEELS PER_WHEEL): numbers of its wheels. `share`
+    (STATE_ROWS L): the part of its step that a lane takes, repeated for each row of the state. `since` (L): seconds since
+    directions were last straightened (`wheels.straighten`). `slope` (6 L), `sums` (ROWS L), `polynomial` (orders), `spare` (ROWS
+    L): scratch.
     """
 
     c: np.ndarray
@@ -103,10 +97,10 @@ class Motions(NamedTuple):
 
     `omega_B` (n, 3) rad/s, `sun_B` (n, 3), `speeds` (n, n_wheel) rad/s; `inertia` (1 or n, 3, 3) kg m2; `wheels` (1 or n, n_wheel,
     3): J in kg m2, limit of dry friction with the brake in N m, viscous friction in N m s; `axes` (n_wheel, 3); `driven`
-    (n_wheel): whether a motor holds the speed of the wheel; `modes` (1 or n, 2^n_wheel, 7): share of H left out of omega, and
-    A^-1 for each set of free wheels, bit i of its number standing for wheel i; `steady` (1 or n, 2, 3) N m: torques in body axes
-    and in space, the second in body axes at the start; `nadir` (1 or n, 2, 3): direction, and its rate of turning in rad/s, in
-    body axes at the start; `pull`: 3 n^2 in 1/s2.
+    (n_wheel): whether a motor holds the speed of the wheel. `modes` (1 or n, 2^n_wheel, 7): SPIN, and the six elements of A^-1,
+    for each set of free wheels, bit i of whose number is wheel i. `steady` (1 or n, 2, 3) N m: torques that are constant in body
+    axes and in space, both in body axes at the start; `nadir` (1 or n, 2, 3): direction, and its rate of rotation in rad/s, in
+    body axes at the start; `pull`: 3 n^2 of the gravity gradient in 1/s2.
     """
 
     omega_B: np.ndarray
@@ -123,11 +117,11 @@ class Motions(NamedTuple):
 
 
 class Task(NamedTuple):
-    """What the motions are run for.
+    """What is to be computed of the motions.
 
-    `ends` (n_out) s: times of output, increasing or decreasing from 0; `order` of the series; `allowed`: error per second in units
-    of |H| and of a direction; `torques`: NO_TORQUE, STEADY or GRADIENT; `attitude`: whether it is computed; `most_events` and
-    `most_steps` of a motion.
+    `ends` (n_out) s: times of output, increasing or decreasing from 0; `order` of the series; `allowed`: error per second of H, as
+    a part of |H|, and of directions; `torques`: NO_TORQUE, STEADY or GRADIENT; `attitude`: whether it is computed; `most_events`
+    and `most_steps` of a motion.
     """
 
     ends: np.ndarray
@@ -140,11 +134,11 @@ class Task(NamedTuple):
 
 
 class Answer(NamedTuple):
-    """What is written for n motions.
+    """Results for n motions.
 
     `states` (n, n_out, size): H, h, direction to the Sun, omega, speeds of the wheels and, if computed, the axes x and y of N, all
     in body axes; `last` (n, size): the same where the motion ended; `outcome` (n); `events` (n, room, 3): time in s, wheel, what
-    it does; `n_events` (n); `steps` (n); `hist` (n, bins) s, or (n, 0).
+    it does; `n_events` (n); `steps` (n): number of steps; `hist` (n, bins) in s, or (n, 0).
     """
 
     states: np.ndarray

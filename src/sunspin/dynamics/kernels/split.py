@@ -1,11 +1,12 @@
-"""Histograms of r_z for many motions by a product of rotations: single precision, for all lanes at once.
+"""The split kernel: histograms of r_z for many motions by a product of rotations, in single precision, for all lanes at once.
 
-In the principal axes (p, q, m) of A^-1 (m: the axis whose moment differs most from the others'), with inverse moments l and what
-the wheels add, w = l (K + sum_free h u), the body rate is omega_i = l_i H_i - w_i, and H and the Sun's direction r both turn with
-it (dv/dt = v x omega). K is the momentum of the driven wheels, h that of a free one along its axis u. The part l_q H of omega turns
-r about H and leaves H alone. It commutes with all that is left, which turns H and r alike, so that it is done exactly, once a step
-(`write_node`). What is left has three parts, each a rotation about an axis at a rate that it does not change
-(:mod:`sunspin.dynamics.principal`):
+In the principal axes (p, q, m) of A^-1 the body rate is omega_i = l_i H_i - w_i. l are the inverse moments, and w = l (K + sum_free
+h u) is the part of the wheels: K is the momentum of the driven wheels, h that of a free one along its axis u. H and the direction r
+to the Sun both follow dv/dt = v x omega. m is mostly the axis whose moment differs most from the others.
+
+The part l_q H of omega, the common rotation, rotates r about H and does not change H. It commutes with the rest, which rotates H
+and r alike, so it is applied exactly, once per step (`write_node`). The rest has three parts, each a rotation about one axis at a
+rate that it does not change (:mod:`sunspin.dynamics.principal`):
 
     main   (l_m - l_q) H_m - w_m  about m
     P      (l_p - l_q) H_p - w_p  about p
@@ -13,16 +14,17 @@ r about H and leaves H alone. It commutes with all that is left, which turns H a
 
 `go_forward` applies main, half of Q, P and half of Q, `go_backward` the reverse. Three of each, with the fractions of McLachlan's
 method of order (8, 4) for nearly integrable systems (BIT 35, 1995, 258), make a symmetric step. Rotations keep |H|, |r| and H.r;
-the error comes from commutators, which are small where l_p - l_q, w_p and w_q are small compared with main. That of P and Q is of
-second order only and needs w_q: wheels across the axes p and m (`principal.split_steps`). One step covers some two radians of
-main, and two ways of the histogram, the arcs of r between its nodes.
+the error comes from commutators, which are small if l_p - l_q, w_p and w_q are small compared with main. That of P and Q is of
+second order only, but zero unless a wheel has a part along q (`principal.split_steps`). One step covers some two radians of main,
+and two ways of the histogram, the arcs of r between its nodes.
 
-Wheels run down by the exact solution of their friction at constant omega (`begin_step`); what friction does of the changing omega
-is added from the middle of the step. A step in which a wheel comes to rest is undone and shortened, until it rests at its end.
-Everything else is left to the Taylor kernel, which computes those motions again that are reported in `again`: a wheel that friction
-holds comes near its limit, or the motion comes near an unstable spin, where the last digits decide.
+Wheels run down by the exact solution of their friction for omega = 0 (`begin_step`); the friction that omega causes is added from
+the middle of the step. A step in which a wheel comes to rest is undone and shortened, until the wheel rests at its end. Motions
+that the Taylor kernel must compute again are reported in `again`: a wheel that friction holds comes near its limit, or the
+motion comes near an unstable spin, where single precision is not enough.
 
-Speed: the rules at the head of :mod:`sunspin.dynamics.kernels.flow` hold here, too.
+Names and rules of speed are those of :mod:`sunspin.dynamics.kernels.flow`, but w is the array of numbers of the motions, and o is
+where the numbers of a wheel begin. p, q, m and x, y, z are the components of H and r in principal axes.
 """
 
 from __future__ import annotations
@@ -49,29 +51,27 @@ F = np.float32
 # ---- rows of `w`: numbers of the motion in a lane; names as in `rows`, other places --------------------
 H, SUN = 0, 3 * L  # momentum and direction to the Sun, principal axes p, q, m
 STATE = 6 * L  # their number
-OLD = 6 * L  # the same at the begin of the step (6)
+OLD = 6 * L  # the same at the start of the step (6)
 DT = 12 * L
 DP, DM = 13 * L, 14 * L  # l_p - l_q and l_m - l_q
 INVERSE = 15 * L  # l (3)
-W0, W1 = (
-    18 * L,
-    21 * L,
-)  # what wheels add to omega at the begin of the step, and its change in the step (3 each)
+# the part w of the wheels at the start of the step, and its change in the step (3 each)
+W0, W1 = 18 * L, 21 * L
 DRIVEN = 24 * L  # K (3), momentum of the driven wheels
 AXES = 27 * L  # rows p, q, m of the rotation from B (9)
-COMMON = (
-    36 * L
-)  # common turn: cosine, sine / |H|, (1 - cosine) H.r / |H|^2, in the middle and at the end of the step
+# common rotation: cosine, sine / |H|, (1 - cosine) H.r / |H|^2, in the middle and at the end of the step
+COMMON = 36 * L
 INVERSE_SQUARE = 42 * L  # 1 / |H|^2
-SLOWEST, FASTEST = 43 * L, 44 * L  # smallest and largest square of the speed of H in body axes
+SLOWEST, FASTEST = 43 * L, 44 * L  # smallest and largest square of dH/dt in body axes so far
 OVERLOAD = 45 * L  # largest torque that a stuck wheel needed, over its limit
 NUMBERS = 46
 
 # ---- rows of `u`: numbers of wheel i, from i PER_WHEEL on ---------------------------------------------
 AXIS = 0  # u (3), principal axes
-AXIAL, LOW = 3 * L, 4 * L  # h, and by how much it exceeds the exact sum (Kahan)
+# h, and by how much it exceeds the exact sum of its changes (Kahan's summation)
+AXIAL, LOW = 3 * L, 4 * L
 FREE, COULOMB, VISCOUS, J = 5 * L, 6 * L, 7 * L, 8 * L  # as in `rows`; J in kg m^2
-WEAR = 9 * L  # seconds of friction in the step, by the exponential law
+WEAR = 9 * L  # seconds; times the friction torque at the start it is the change of h in the step
 SIGN = 10 * L  # of the speed of a wheel that dry friction will stop, else 0
 INVERSE_DRY = 11 * L  # 1 / limit of a wheel that is stuck or may become so, else 0
 SPEED = 12 * L  # relative to the body, rad/s; only where SIGN is not 0
@@ -85,19 +85,19 @@ WAYS = 2
 """Ways of the histogram in a step: from its begin to its middle, and on to its end."""
 
 MOST_SHORTENED = 0.02
-"""Smallest share to which a step is cut, so that a lane does not stand still: a choice. A step that ends past rest is cut again."""
+"""Smallest share to which a step is cut, so that a lane advances: a choice. A step in which a wheel passes rest is cut again."""
 
 UNEVEN = 3e-5
-"""If the smallest square of the speed of H in body axes is below this share of the largest, a motion came near an unstable spin.
+"""If the smallest square of dH/dt in body axes is below this share of the largest, a motion came near an unstable spin.
 
 These are 2 % of the paper's grid. Without the limit the largest error of their EMD is 1.2e-2 instead of 1.2e-3 (3,000 motions).
 """
 
 LAST_SHARE = 1e-3
-"""What is left of a run within this share of a step is rounding: the last step is a whole one, or nothing is left to do."""
+"""Share of a step within which the rest of a run is due to rounding: the last step is then a whole one, or the run has ended."""
 
 NEAR_LIMIT = 0.9
-"""Share of its limit at which a stuck wheel may break away between two middles of steps, where its load is looked at: a choice."""
+"""Share of its limit below which a stuck wheel is taken to stay stuck; its load is computed once per step. A choice."""
 
 MAIN = (0.07534696026989288842, 0.51791685468825678230, -0.09326381495814967072)
 SIDE = (0.19022593937367661925, 0.84652407044352625706, -1.07350001963440575260 / 2)
@@ -105,8 +105,8 @@ SIDE = (0.19022593937367661925, 0.84652407044352625706, -1.07350001963440575260 
 
 
 class SplitTask(NamedTuple):
-    """What is to be run: `queue` (n), numbers of the motions, similar ones together; `steps` (n) of each; `duration` s; `frames`
-    (2^n_wheel, 12), for each set of free wheels the inverse moments l and the rows p, q, m of the rotation from B."""
+    """What is to be computed: `queue` (n), the motions in order of their numbers of steps, `steps` (n); `duration` in s; `frames`
+    (2^n_wheel, 12) as of :func:`sunspin.dynamics.principal.frames`."""
 
     queue: np.ndarray
     steps: np.ndarray
@@ -122,10 +122,10 @@ class SplitAnswer(NamedTuple):
 
 
 class Fractions(NamedTuple):
-    """Fractions of a step for which its first half applies the flows, (3) float32 each; the second half applies them in reverse.
+    """Fractions of a step for which its first half applies the three parts, (3) each; the second half has the reverse order.
 
-    `main`, `side`: of main, and of P and Q; `main_time`, `side_time`: where in the step the wheels count for them, the middle of
-    main and the end of main so far.
+    `main`: of main; `side`: of P and Q. `main_time`, `side_time`: times, as shares of the step, at which w is taken for them: the
+    middle of main, and the end of main so far.
     """
 
     main: np.ndarray
@@ -135,8 +135,8 @@ class Fractions(NamedTuple):
 
 
 class SplitLanes(NamedTuple):
-    """Working arrays: `w` (NUMBERS L), `u` (WHEELS PER_WHEEL), float32; `fractions` of the flows; `left` in the run and `step` (L):
-    s."""
+    """Working arrays: `w` (NUMBERS L) and `u` (WHEELS PER_WHEEL), float32; `fractions` of a step; `left` (L): seconds to the end of
+    the run; `step` (L): full length of the step, s."""
 
     w: np.ndarray
     u: np.ndarray
@@ -146,7 +146,7 @@ class SplitLanes(NamedTuple):
 
 
 def fractions_of_step() -> Fractions:
-    """Return the fractions of the flows in the first half of a step."""
+    """Return McLachlan's fractions for the first half of a step."""
     main, side = np.array(MAIN), np.array(SIDE)
     end = np.cumsum(main)
     return Fractions(*(x.astype(F) for x in (main, end - main / 2, side, end)))
@@ -155,10 +155,10 @@ def fractions_of_step() -> Fractions:
 # ---- flows -----------------------------------------------------------------------------------------
 @compiled
 def sine_cosine(x):
-    """Return sine and cosine as polynomials that vectors can compute: to 6e-8 up to 0.62 rad.
+    """Return sine and cosine as polynomials, which compile to vector operations: to 6e-8 up to 0.62 rad.
 
-    No flow turns by more: a step turns by 1.2 rad of main and 0.6 rad of P or Q at most (`principal.split_steps`), of which the
-    largest fractions are 0.52 and 0.85. At 1.2 rad they would err by 1.4e-5.
+    No angle is larger: a step rotates by at most 1.2 rad of main and 0.6 rad of P or Q (`principal.split_steps`), and the largest
+    fractions of these are 0.52 and 0.85. At 1.2 rad the error would be 1.4e-5.
     """
     q = x * x
     sine = x + x * q * (F(-1 / 6) + q * (F(1 / 120) + q * F(-1 / 5040)))
@@ -168,13 +168,13 @@ def sine_cosine(x):
 
 @compiled
 def rotate(a, b, sine, cosine):
-    """Return the components a, b of a fixed vector, seen from axes that turned from a towards b."""
+    """Return the components a, b of a fixed vector after the axes have rotated from the axis of a towards that of b."""
     return cosine * a + sine * b, cosine * b - sine * a
 
 
 @compiled
 def turn_main(w, l, fraction, time, v):
-    """Return the state `v` (H and r, 6) of lane l after main for the fraction of the step; wheels count as they are at `time`."""
+    """Return the state `v` (H and r, 6) of lane l after main for a fraction of the step, with the w of the wheels at `time`."""
     p, q, m, x, y, z = v
     wheels = w[W0 + 2 * L + l] + time * w[W1 + 2 * L + l]
     sine, cosine = sine_cosine(fraction * w[DT + l] * (w[DM + l] * m - wheels))
@@ -185,10 +185,11 @@ def turn_main(w, l, fraction, time, v):
 
 @compiled
 def turn_sides(w, l, fraction, time, v):
-    """Return the state `v` of lane l after half of Q, P and half of Q for the fraction of the step; `time` as in `turn_main`.
+    """Return the state `v` of lane l after half of Q, P and half of Q for a fraction of the step; `time` as in `turn_main`.
 
-    Q stands on both sides of P: this is its own reverse, and errs by the third power of the fraction. P Q alone errs by the
-    second, of which the reverse order in the other half of the step leaves twice the error (20 bodies with oblique wheels).
+    With Q on both sides of P the order is its own reverse, and the error is of the third power of the fraction. P Q alone has an
+    error of the second power. With the reverse order in the other half of the step it is still twice as large (20 bodies with
+    oblique wheels).
     """
     p, q, m, x, y, z = v
     dt = fraction * w[DT + l]
@@ -219,7 +220,7 @@ def set_state(w, l, v):
 
 @compiled
 def go_forward(w, part, k):
-    """Apply main, then Q P Q, for the fractions k of the step."""
+    """Apply main, then Q P Q, for fraction number k of the step, in all lanes."""
     main, side = part.main[k], part.side[k]
     main_time, side_time = part.main_time[k], part.side_time[k]
     for l in range(L):
@@ -229,7 +230,7 @@ def go_forward(w, part, k):
 
 @compiled
 def go_backward(w, part, k):
-    """Apply Q P Q, then main, for the fractions k of the step: the reverse of `go_forward`, in the second half of the step."""
+    """Apply Q P Q, then main, for fraction number k: the reverse of `go_forward`, in the second half of the step."""
     main, side = part.main[k], part.side[k]
     main_time, side_time = F(1) - part.main_time[k], F(1) - part.side_time[k]
     for l in range(L):
@@ -240,7 +241,7 @@ def go_backward(w, part, k):
 # ---- wheels in a step -------------------------------------------------------------------------------
 @compiled
 def begin_step(w, u, n_wheels):
-    """Keep the state, and let friction act on the wheels as if omega were zero: h by the exponential law, w by h."""
+    """Save the state, and change h and w of all wheels by the friction of the whole step, as if omega were zero."""
     for j in range(STATE):
         w[OLD + j] = w[j]
     for j in range(3 * L):
@@ -263,7 +264,8 @@ def begin_step(w, u, n_wheels):
             w[W1 + 2 * L + l] += m * change
             u[o + OLD_AXIAL + l], u[o + OLD_LOW + l] = h, u[o + LOW + l]
             u[o + OLD_SPEED + l] = u[o + SPEED + l]
-            part = change - u[o + LOW + l]  # Kahan's sum: thousands of small changes of a large h
+            # Kahan's summation: thousands of small changes of a large h
+            part = change - u[o + LOW + l]
             total = h + part
             u[o + LOW + l] = (total - h) - part
             u[o + AXIAL + l] = total
@@ -271,24 +273,26 @@ def begin_step(w, u, n_wheels):
 
 @compiled
 def write_node(lanes, at, n_wheels, k, is_end):
-    """Write node k = 1 (middle of the step) or 2 (its end) into `at`; at the end the state itself takes the common turn.
+    """Write node k = 1 (middle of the step) or 2 (its end, `is_end`) into `at` (`histogram.Nodes`), in body axes.
 
-    The state is seen from axes that have turned about H with the share l_q H of omega (Rodrigues' formula); the node is in body
-    axes. In the middle the speed of H is noted, and the friction that omega causes; at the end the wheels' speeds, and H and r
-    are brought back to their lengths, which change by 1e-3 in a thousand steps.
+    The common rotation of r about H since the start of the step is added first (Rodrigues' formula); at the end the state gets it
+    too. In the middle the size of dH/dt is stored, the friction that omega causes is added, and the load of stuck wheels is
+    computed. At the end the wheels' speeds are, and H and r are scaled to their lengths, which otherwise change by 1e-3 in a
+    thousand steps.
     """
     w, u = lanes.w, lanes.u
     turn, n, time = COMMON + 3 * L * (k - 1), NODE + PER_NODE * k, F(0.5) * F(k)
     for l in range(L):
         p, q, m = w[H + l], w[H + L + l], w[H + 2 * L + l]
         x, y, z = w[SUN + l], w[SUN + L + l], w[SUN + 2 * L + l]
-        c, s, along = w[turn + l], w[turn + L + l], w[turn + 2 * L + l]
+        cosine, sine, along = w[turn + l], w[turn + L + l], w[turn + 2 * L + l]
         x, y, z = (
-            c * x + s * (y * m - z * q) + along * p,
-            c * y + s * (z * p - x * m) + along * q,
-            c * z + s * (x * q - y * p) + along * m,
+            cosine * x + sine * (y * m - z * q) + along * p,
+            cosine * y + sine * (z * p - x * m) + along * q,
+            cosine * z + sine * (x * q - y * p) + along * m,
         )
-        a = w[INVERSE + l] * p - w[W0 + l] - time * w[W1 + l]  # omega
+        # omega = l H - w
+        a = w[INVERSE + l] * p - w[W0 + l] - time * w[W1 + l]
         b = w[INVERSE + L + l] * q - w[W0 + L + l] - time * w[W1 + L + l]
         d = w[INVERSE + 2 * L + l] * m - w[W0 + 2 * L + l] - time * w[W1 + 2 * L + l]
         if is_end:
@@ -299,15 +303,18 @@ def write_node(lanes, at, n_wheels, k, is_end):
             x, y, z = x * scale, y * scale, z * scale
             w[SUN + l], w[SUN + L + l], w[SUN + 2 * L + l] = x, y, z
         else:
+            # dH/dt = H x omega
             e, f, g = q * d - m * b, m * a - p * d, p * b - q * a
-            speed = e * e + f * f + g * g
-            w[SLOWEST + l] = min(w[SLOWEST + l], speed)
-            w[FASTEST + l] = max(w[FASTEST + l], speed)
-        e, f, g = y * d - z * b, z * a - x * d, x * b - y * a  # slope of r
-        for j in range(3):  # from principal to body axes
-            i, h, o = w[AXES + j * L + l], w[AXES + (3 + j) * L + l], w[AXES + (6 + j) * L + l]
-            at[n + j * L + l] = i * x + h * y + o * z
-            at[n + (3 + j) * L + l] = i * e + h * f + o * g
+            square = e * e + f * f + g * g
+            w[SLOWEST + l] = min(w[SLOWEST + l], square)
+            w[FASTEST + l] = max(w[FASTEST + l], square)
+        # dr/dt = r x omega; then both from principal to body axes
+        e, f, g = y * d - z * b, z * a - x * d, x * b - y * a
+        for j in range(3):
+            to_p, to_q = w[AXES + j * L + l], w[AXES + (3 + j) * L + l]
+            to_m = w[AXES + (6 + j) * L + l]
+            at[n + j * L + l] = to_p * x + to_q * y + to_m * z
+            at[n + (3 + j) * L + l] = to_p * e + to_q * f + to_m * g
         at[n + 6 * L + l] = a * a + b * b + d * d
     for i in range(n_wheels):
         o = i * PER_WHEEL
@@ -323,7 +330,7 @@ def write_node(lanes, at, n_wheels, k, is_end):
             else:
                 # friction that omega causes, from the middle of the step; too small for the sum's rounding to matter
                 u[o + AXIAL + l] += u[o + FREE + l] * u[o + VISCOUS + l] * w[DT + l] * along
-                # torque J u.domega/dt that a stuck wheel needs, over its limit; friction of others moves the body little
+                # torque J u.domega/dt that holds a stuck wheel, over its limit; the friction of other wheels is left out as small
                 x, y, z = x * w[INVERSE + l], y * w[INVERSE + L + l], z * w[INVERSE + 2 * L + l]
                 torque = x * (q * d - m * b) + y * (m * a - p * d) + z * (p * b - q * a)
                 load = abs(torque) * u[o + J + l] * u[o + INVERSE_DRY + l]
@@ -333,7 +340,7 @@ def write_node(lanes, at, n_wheels, k, is_end):
 
 @compiled
 def take_step(lanes, at, n_wheels):
-    """Take a step in all lanes, with its two nodes."""
+    """Advance all lanes by a step, and write its two nodes into `at`."""
     w = lanes.w
     begin_step(w, lanes.u, n_wheels)
     for k in range(3):
@@ -347,7 +354,7 @@ def take_step(lanes, at, n_wheels):
 # ---- one lane ---------------------------------------------------------------------------------------
 @compiled
 def set_step(lanes, n_wheels, l, dt):
-    """Give lane l a step of dt seconds: the common turn about H, and the wear of its wheels."""
+    """Set the step of lane l to dt seconds, with the common rotation about H (COMMON) and the WEAR of its wheels."""
     w, u = lanes.w, lanes.u
     w[DT + l] = dt
     p, q, m = float(w[H + l]), float(w[H + L + l]), float(w[H + 2 * L + l])
@@ -369,14 +376,14 @@ def set_step(lanes, n_wheels, l, dt):
 
 @compiled
 def set_mode(lanes, motions, frames, l, row, body):
-    """Load lane l from H and r in body axes, `body` (6): the principal axes of its set of free wheels, momentum of the driven ones.
+    """Write the numbers of lane l that depend on which wheels turn freely, and its state from H and r in body axes, `body` (6).
 
     frames : (2^n_wheel, 12)
-        Inverse moments l, and rows p, q, m of the rotation from B, for each set of free wheels.
+        As of :func:`sunspin.dynamics.principal.frames`.
     """
     w, u = lanes.w, lanes.u
     n_wheels = len(motions.axes)
-    mode = 0
+    mode = 0  # bit i: wheel i turns freely
     for i in range(n_wheels):
         if u[i * PER_WHEEL + FREE + l] > F(0.5):
             mode |= 1 << i
@@ -403,7 +410,7 @@ def set_mode(lanes, motions, frames, l, row, body):
 
 @compiled
 def load(lanes, motions, frames, l, row):
-    """Load motion `row` into lane l, at its begin, with a step of no length."""
+    """Load motion `row` in its initial state into lane l, with a step of no length."""
     w, u = lanes.w, lanes.u
     n_wheels, inertia, body = len(motions.axes), motions.inertia[0], np.empty(6)
     omega, speeds = motions.omega_B[row], motions.speeds[row]
@@ -412,15 +419,16 @@ def load(lanes, motions, frames, l, row):
         body[3 + k] = motions.sun_B[row, k]
     for i in range(n_wheels):
         o, axis = i * PER_WHEEL + l, motions.axes[i]
-        j, dry = motions.wheels[0, i, 0], motions.wheels[0, i, 1]
+        axial_inertia, dry = motions.wheels[0, i, 0], motions.wheels[0, i, 1]
         driven = motions.driven[i]
         for k in range(3):
-            body[k] += j * speeds[i] * axis[k]
+            body[k] += axial_inertia * speeds[i] * axis[k]
         along = axis[0] * omega[0] + axis[1] * omega[1] + axis[2] * omega[2]
         sign = 1.0 if speeds[i] > 0.0 else -1.0 if speeds[i] < 0.0 else 0.0
         free = not driven and not (sign == 0.0 and dry > 0.0)  # at rest with dry friction: stuck
-        u[o + AXIAL], u[o + LOW], u[o + SPEED] = j * (speeds[i] + along), 0.0, speeds[i]
-        u[o + J], u[o + VISCOUS] = j, motions.wheels[0, i, 2]
+        u[o + AXIAL] = axial_inertia * (speeds[i] + along)
+        u[o + LOW], u[o + SPEED] = 0.0, speeds[i]
+        u[o + J], u[o + VISCOUS] = axial_inertia, motions.wheels[0, i, 2]
         u[o + FREE] = 1.0 if free else 0.0
         u[o + COULOMB] = sign * dry if free else 0.0
         u[o + SIGN] = sign if free and dry > 0.0 else 0.0
@@ -432,9 +440,9 @@ def load(lanes, motions, frames, l, row):
 
 @compiled
 def end_step(lanes, motions, frames, at, l, row):
-    """See in lane l whether a turning wheel has come to rest in the step; return whether the step stands.
+    """Test in lane l whether a turning wheel has come to rest in the step; return whether the step is valid.
 
-    If a wheel is past rest the step is undone, and a shorter one set. If it is at rest it sticks from here on.
+    If a wheel is past rest the step is undone, and a shorter one is set. If it is at rest, it sticks from now on.
     """
     w, u = lanes.w, lanes.u
     n_wheels = len(motions.axes)
@@ -442,11 +450,11 @@ def end_step(lanes, motions, frames, at, l, row):
     for i in range(n_wheels):
         o = i * PER_WHEEL + l
         after, before = u[o + SIGN] * u[o + SPEED], u[o + SIGN] * u[o + OLD_SPEED]
-        if (
-            after < -REST_SPEED and after != before
-        ):  # equal: a lane that has ended, its step has no length
+        # rest is where the speed, taken as linear, is zero; both speeds are equal in a lane that has ended
+        if after < -REST_SPEED and after != before:
             share = min(share, max(before / (before - after), MOST_SHORTENED))
     if share < 1.0:
+        # restore the state and the wheels; both nodes of the step become copies of the first, with no time between them
         for j in range(6):
             w[j * L + l] = w[OLD + j * L + l]
         for i in range(n_wheels):
@@ -464,16 +472,15 @@ def end_step(lanes, motions, frames, at, l, row):
         if u[o + SIGN] != F(0) and u[o + SIGN] * u[o + SPEED] <= REST_SPEED:
             u[o + FREE], u[o + SIGN], u[o + COULOMB], sticks = 0.0, 0.0, 0.0, True
     if sticks:
-        body = np.zeros(6)
+        body = np.zeros(6)  # H and r in body axes
         for j in range(3):
             for k in range(3):
                 axis = w[AXES + (3 * k + j) * L + l]
                 body[j] += axis * w[H + k * L + l]
                 body[3 + j] += axis * w[SUN + k * L + l]
         set_mode(lanes, motions, frames, l, row, body)
-    if sticks or w[DT + l] != F(
-        lanes.step[l]
-    ):  # a lane without an event must not notice its neighbours'
+    # only after an event: the result of a lane must not depend on events of its neighbours
+    if sticks or w[DT + l] != F(lanes.step[l]):
         set_step(lanes, n_wheels, l, lanes.step[l])
     return True
 
@@ -481,7 +488,7 @@ def end_step(lanes, motions, frames, at, l, row):
 # ---- the run ----------------------------------------------------------------------------------------
 @compiled
 def is_near_rest(u, n_wheels):
-    """Return whether in some lane a wheel that dry friction will stop is at rest, or past it."""
+    """Return whether in any lane a wheel that dry friction will stop is at rest or past it."""
     near = False
     for i in range(n_wheels):
         o = i * PER_WHEEL
@@ -493,7 +500,7 @@ def is_near_rest(u, n_wheels):
 
 @compiled
 def run_block(first, task, lanes, motions, nodes, answer):
-    """Run L motions of the queue from number `first` on, and write their histograms."""
+    """Compute L motions of the queue, from number `first` on, and write their histograms into `answer`."""
     w, u, at, queue, frames = lanes.w, lanes.u, nodes.at, task.queue, task.frames
     n_wheels, last = len(motions.axes), len(queue) - 1
     for l in range(L):
@@ -520,7 +527,8 @@ def run_block(first, task, lanes, motions, nodes, answer):
         else:
             for l in range(L):
                 lanes.left[l] -= w[DT + l]
-        add_way(nodes, 0)  # written out: in a loop the rows would not be known, six times slower
+        # no loop: its indices would not be constants (rule 1 of `flow`), six times slower
+        add_way(nodes, 0)
         add_way(nodes, 1)
         for j in range(PER_NODE):
             at[NODE + j] = at[NODE + 2 * PER_NODE + j]
@@ -539,7 +547,7 @@ def run_block(first, task, lanes, motions, nodes, answer):
             take_out(nodes, l, answer.hist[row])
             even = w[SLOWEST + l] > F(UNEVEN) * w[FASTEST + l] or w[FASTEST + l] == F(0)
             answer.again[row] = not even or not w[OVERLOAD + l] < F(NEAR_LIMIT)
-    nodes.hist[:] = F(0)  # lanes with copies of the last motion
+    nodes.hist[:] = F(0)  # of lanes beyond the queue, which hold copies of the last motion
 
 
 def new_lanes() -> SplitLanes:
@@ -558,6 +566,7 @@ def _entry(sources: int) -> Any:
 
     @cached("compiling the integrator of scans, once (some 10 s)")
     def run(task, lanes, motions, nodes, answer):
+        """Compute the motions of a task, L at a time (:func:`run_block`)."""
         _ = sources
         for first in range(0, len(task.queue), L):
             run_block(first, task, lanes, motions, nodes, answer)
@@ -571,10 +580,10 @@ _run = _entry(digest(*(str(module.__file__) for module in (rows, histogram)), __
 def run(
     motions: Motions, steps: np.ndarray, duration_s: float, frames: np.ndarray, nodes: Any
 ) -> SplitAnswer:
-    """Return the histograms (n, bins) of motions with one body, without torques, forward in time, and which must be done again.
+    """Return the histograms of motions with one body, without torques, forward in time, and which of them must be computed again.
 
     steps : (n)
-        Steps of each motion; motions with similar numbers share a block.
+        Number of steps of each motion (:func:`sunspin.dynamics.principal.split_steps`).
     frames : (2^n_wheel, 12)
         Principal axes for each set of free wheels (:func:`sunspin.dynamics.principal.frames`).
     """

@@ -1,12 +1,12 @@
-"""Events of wheels, and what a wheel does at them: one lane at a time, except for the test whether an event can happen at all.
+"""Events of wheels: when the next one happens, and what the wheel does then. Lanes are treated one by one, except in `are_watched`.
 
-A wheel that turns freely comes to rest where its speed W = h / J - u.omega is zero. A wheel that friction holds breaks away where
-the torque that this takes, J u.domega/dt, reaches the limit of dry friction (paper, eq. 6). In a step both are polynomials
-of its share x, whose coefficients are at hand: u.omega is among the rows of the series, and its derivative needs no second
-formula. `are_watched` bounds both for all lanes; where the bound does not exclude an event, `first_event` finds the first zero and
-the step is cut there. The polynomials hold for any share of a step, so nothing has to be undone.
+A free wheel comes to rest when its speed W = h / J - u.omega is zero. A wheel that friction holds breaks away when the torque that
+holds it, J u.domega/dt, reaches the limit of dry friction (paper, eq. 6). In a step both are polynomials of its share x, whose
+coefficients are known: u.omega is among the rows of the series, and its derivative follows from it. `are_watched` bounds both for
+all lanes. If the bound does not exclude an event, `first_event` computes the first zero, and the step ends there.
 
-A lane is then in a new mode: other wheels turn freely, and A^-1 belongs to another set of them (`set_mode`).
+After an event a lane is in a new mode: other wheels turn freely, and A^-1 belongs to another set of them (`set_mode`). Names are
+those of :mod:`~sunspin.dynamics.kernels.flow`.
 """
 
 from __future__ import annotations
@@ -56,26 +56,26 @@ from sunspin.dynamics.kernels.rows import (
 from sunspin.dynamics.processor import compiled
 
 MARGIN = 1e-10
-"""A wheel at its limit within this share is stuck: whether it breaks away follows from the polynomial of the next step."""
+"""A wheel whose load exceeds its limit by less than this share stays stuck: the next step shows whether it breaks away."""
 
 ROUNDING = 1e-11
-"""Share of what u.omega does in a step below which a coefficient is rounding."""
+"""Relative error of coefficients of u.omega by rounding."""
 
 NO_ZERO = 2.0
-"""More than any share of a step."""
+"""Result of `first_zero` if there is none: more than any share of a step."""
 
 FAR = 0.02
-"""Share of itself by which torques may move H before directions turn about where it is then: what this adds to the rest of omega is
-a seventh of the rest that Philae's unequal moments leave."""
+"""Part of |H| by which torques may move H from PIVOT before directions are straightened. What this adds to the rest of omega is a
+seventh of the rest that Philae's unequal moments leave."""
 
 
 # ---- where the next event is ---------------------------------------------------------------------
 @compiled
 def are_watched(lanes, n_wheels, order, margin):
-    """Write into `margin` (L) a bound of how far each lane stays from any event in its step; return whether one is not positive.
+    """Write into `margin` (L) a lower bound of the distance from any event in a step; return whether an event is possible.
 
-    Of a turning wheel: |W| at the begin less the sum of |coefficients| x^k. Of a stuck one: the limit less the sum for the slope
-    of u.omega. Two orders in a pass.
+    For a turning wheel it is |W| at the start less the sum of |coefficients of W| x^k, for a stuck one the limit less the same sum
+    for the derivative of u.omega. An event is possible in a lane if it is not positive. Two orders are added in a pass.
     """
     c, p, u, share, sums = lanes.c, lanes.p, lanes.u, lanes.share, lanes.sums
     for l in range(L):
@@ -91,6 +91,7 @@ def are_watched(lanes, n_wheels, order, margin):
                 a, b = c[k, ALONG + i * L + l], c[k - 1, ALONG + i * L + l]
                 first = abs(c[k, AXIAL + i * L + l] * j - a)
                 second = abs(c[k - 1, AXIAL + i * L + l] * j - b)
+                # of W, and of the derivative of u.omega
                 sums[l] = ((sums[l] + first) * x + second) * x
                 sums[L + l] = (sums[L + l] * x + m * abs(a)) * x + n * abs(b)
         for l in range(L):
@@ -110,9 +111,9 @@ def are_watched(lanes, n_wheels, order, margin):
 def first_zero(f, degree, high, floor):
     """Return the first zero in (0, high] of the polynomial f[0] + f[1] x + ..., positive at the start; NO_ZERO if there is none.
 
-    From a place where the value is a, the slope b and no second derivative exceeds s, the polynomial stays positive up to the zero
-    of a + b d - s d^2 / 2: so the march cannot step over a zero. First coefficients up to `floor` are errors of a polynomial that
-    has just left zero, and are divided out.
+    At x it has the value a, the slope b and a second derivative of at most s in size. So it stays positive over a distance d up to
+    the zero of a + b d - s d^2 / 2, and steps of this length cannot pass a zero. First coefficients up to `floor` are errors of a
+    polynomial that has just left zero: the polynomial is divided by x or x^2 to remove them.
     """
     size = 0.0
     for k in range(degree + 1):
@@ -122,11 +123,12 @@ def first_zero(f, degree, high, floor):
         begin += 1
     if f[begin] <= 0.0:
         return 0.0
-    bend = 0.0
+    bend = 0.0  # bound of the second derivative
     for k in range(begin + 2, degree + 1):
         bend += (k - begin) * (k - begin - 1) * abs(f[k]) * high ** (k - begin - 2)
     x = 0.0
     for _ in range(10000):
+        # value and slope by Horner's rule
         a, b = f[degree], 0.0
         for k in range(degree - 1, begin - 1, -1):
             b = b * x + a
@@ -148,11 +150,11 @@ def first_zero(f, degree, high, floor):
 
 @compiled
 def first_event(lanes, n_wheels, order, l, high):
-    """Return the wheel of the first event of lane l in (0, high], and its place as a share of the step; -1 and `high` if none.
+    """Return the wheel of the first event of lane l in (0, high], and its share of the step; -1 and `high` if there is none.
 
-    At an event the polynomial of the step before was zero, and that of the next step is zero but for rounding and for what the
-    series has left out. `floor` bounds both. That of a turning wheel is twice that of a stuck one: a wheel that was let go at its
-    limit within errors must not be caught again by the same errors, and let go, without end.
+    After an event the polynomial of the next step begins at zero, except for rounding and the truncation of the series. `floor`
+    bounds these errors. For a turning wheel it is twice that of a stuck one: otherwise the same errors could stop a wheel that was
+    just released at its limit, which would then be released again, without end.
     """
     c, p, u, f = lanes.c, lanes.p, lanes.u, lanes.polynomial
     wheel, place = -1, high
@@ -162,7 +164,7 @@ def first_event(lanes, n_wheels, order, l, high):
         floor = ROUNDING * limit + order * (abs(c[order, a]) + abs(c[order - 1, a]))
         for k in range(1, order + 1):
             floor += ROUNDING * k * abs(c[k, a])
-        if u[w + SIGN] != 0.0:
+        if u[w + SIGN] != 0.0:  # a turning wheel that dry friction will stop: |W|
             for k in range(order + 1):
                 speed = c[k, AXIAL + i * L + l] * u[w + INVERSE_J] - c[k, a]
                 f[k] = u[w + SIGN] * speed
@@ -170,6 +172,7 @@ def first_event(lanes, n_wheels, order, l, high):
             if zero < NO_ZERO:
                 wheel, place = i, zero
         elif u[w + FREE] < 0.5 and u[w + DRY] > 0.0:
+            # a stuck wheel: limit +- derivative of u.omega
             for sign in (-1.0, 1.0):
                 for k in range(order):
                     f[k] = sign * (k + 1) * c[k + 1, a]
@@ -183,7 +186,7 @@ def first_event(lanes, n_wheels, order, l, high):
 # ---- modes ---------------------------------------------------------------------------------------
 @compiled
 def multiply(p, first, l, vector, product):
-    """Write into `product` (3) a symmetric matrix times a vector (3): the six rows of `p` from `first` on, in lane l."""
+    """Write into `product` (3) a symmetric matrix, the six rows of `p` from `first` on in lane l, times a vector (3)."""
     x, y, z = vector[0], vector[1], vector[2]
     product[0] = p[first + l] * x + p[first + L + l] * y + p[first + 2 * L + l] * z
     product[1] = p[first + L + l] * x + p[first + 3 * L + l] * y + p[first + 4 * L + l] * z
@@ -192,16 +195,16 @@ def multiply(p, first, l, vector, product):
 
 @compiled
 def along_axis(u, w, vector):
-    """Return u . vector for the wheel whose numbers in a lane are at `w`."""
+    """Return u . vector for the wheel whose numbers in a lane begin at `w`."""
     return u[w + AXIS] * vector[0] + u[w + AXIS + L] * vector[1] + u[w + AXIS + 2 * L] * vector[2]
 
 
 @compiled
 def write_seen(y, V, lanes, l, seconds, torques, out):
-    """Write into `out` (3) the vector in the rows V of `y`, lane l, as the body sees it.
+    """Write into `out` (3), in body axes, the direction in the rows of `y` from V on, lane l.
 
-    The rows hold it as seen from axes that have turned for `seconds` about H at the rate SPIN |H|; under torques
-    about PIVOT (Rodrigues' formula).
+    The rows hold it in axes that have rotated for `seconds` about H at the rate SPIN |H|, under torques about PIVOT. It is rotated
+    back with Rodrigues' formula.
     """
     P = PIVOT if torques else H
     x, y_, z = y[V + l], y[V + L + l], y[V + 2 * L + l]
@@ -221,7 +224,7 @@ def write_seen(y, V, lanes, l, seconds, torques, out):
 
 @compiled
 def straighten(lanes, l, torques):
-    """Bring the directions of lane l back from the axes that turn about H, or PIVOT, to those of the body; PIVOT is then H."""
+    """Bring the directions of lane l back from the axes that rotate about H, or PIVOT, to body axes, and set PIVOT to H."""
     out = np.empty(3)
     for V in (SUN, NX, NY):
         write_seen(lanes.y, V, lanes, l, lanes.since[l], torques, out)
@@ -235,7 +238,7 @@ def straighten(lanes, l, torques):
 
 @compiled
 def follow_momentum(lanes, torques):
-    """After a step under torques: straighten the directions of those lanes in which H has moved far from PIVOT."""
+    """Straighten the directions of those lanes in which H has moved far from PIVOT; needed after a step under torques."""
     y = lanes.y
     for l in range(L):
         off, size = 0.0, 0.0
@@ -251,10 +254,13 @@ def follow_momentum(lanes, torques):
 
 @compiled
 def set_mode(lanes, n_wheels, l, modes, torques):
-    """Load lane l with what depends on which wheels turn freely: A^-1, the share of H left out of omega, A^-1 K and A^-1 u."""
+    """Write the numbers of lane l that depend on which wheels turn freely: SPIN, A^-1, A^-1 less SPIN, A^-1 K and A^-1 u.
+
+    `modes` (2^n_wheel, 7): those of the motion (:class:`rows.Motions`).
+    """
     y, p, u = lanes.y, lanes.p, lanes.u
     straighten(lanes, l, torques)
-    mode = 0
+    mode = 0  # bit i: wheel i turns freely
     for i in range(n_wheels):
         if u[i * PER_WHEEL + FREE + l] > 0.5:
             mode |= 1 << i
@@ -283,7 +289,7 @@ def set_mode(lanes, n_wheels, l, modes, torques):
 
 @compiled
 def write_body_rate(y, lanes, n_wheels, l, omega):
-    """Write omega (3) of lane l in the state `y`: A^-1 (H - K - sum_free h u)."""
+    """Write omega (3) of lane l for the state `y`: A^-1 (H - K - sum_free h u)."""
     p, u = lanes.p, lanes.u
     rest = np.empty(3)
     for k in range(3):
@@ -296,10 +302,14 @@ def write_body_rate(y, lanes, n_wheels, l, omega):
 
 @compiled
 def write_holding(lanes, n_wheels, l, torques, omega, holding):
-    """Write the body rate of lane l, and for each wheel that is held the torque J u.domega/dt that this takes, in N m."""
+    """Write `omega` (3) of lane l, and into `holding` (n_wheel) the torque J u.domega/dt, N m, which keeps the speed of each wheel.
+
+    domega/dt = A^-1 (H x omega + torques - sum_free M u), with the friction torque M on a free wheel.
+    """
     y, p, u = lanes.y, lanes.p, lanes.u
     write_body_rate(y, lanes, n_wheels, l, omega)
     moment, acceleration = np.empty(3), np.empty(3)
+    # H x omega, external torques, then the friction of free wheels
     a, b, c = y[H + l], y[H + L + l], y[H + 2 * L + l]
     moment[0] = b * omega[2] - c * omega[1]
     moment[1] = c * omega[0] - a * omega[2]
@@ -315,7 +325,7 @@ def write_holding(lanes, n_wheels, l, torques, omega, holding):
         moment[0] += p[PULL + l] * (nadir[1] * product[2] - nadir[2] * product[1])
         moment[1] += p[PULL + l] * (nadir[2] * product[0] - nadir[0] * product[2])
         moment[2] += p[PULL + l] * (nadir[0] * product[1] - nadir[1] * product[0])
-    for i in range(n_wheels):  # friction of the wheels that turn
+    for i in range(n_wheels):
         w = i * PER_WHEEL + l
         speed = y[AXIAL + i * L + l] * u[w + INVERSE_J] - along_axis(u, w, omega)
         friction = -u[w + FREE] * (u[w + COULOMB] + u[w + VISCOUS] * speed)
@@ -329,20 +339,20 @@ def write_holding(lanes, n_wheels, l, torques, omega, holding):
 
 @compiled
 def slip(u, w, sign):
-    """Let the wheel at `w` turn freely; `sign` is that of its speed."""
+    """Mark the wheel whose numbers begin at `w` as free; `sign` is that of its speed."""
     u[w + FREE], u[w + COULOMB] = 1.0, sign * u[w + DRY]
     u[w + SIGN] = sign if u[w + DRY] > 0.0 else 0.0
 
 
 @compiled
 def stick(u, w):
-    """Let friction, or a motor, hold the wheel at `w`."""
+    """Mark the wheel whose numbers begin at `w` as held by friction or a motor."""
     u[w + FREE], u[w + COULOMB], u[w + SIGN] = 0.0, 0.0, 0.0
 
 
 @compiled
 def release(lanes, n_wheels, l, modes, torques, wheel):
-    """Let a wheel of lane l go that friction cannot hold: it slips against the torque that was needed."""
+    """Release a wheel of lane l that friction cannot hold: it begins to turn against the torque that would hold it."""
     omega, holding = np.empty(3), np.empty(WHEELS)
     write_holding(lanes, n_wheels, l, torques, omega, holding)
     w = wheel * PER_WHEEL + l
@@ -353,7 +363,10 @@ def release(lanes, n_wheels, l, modes, torques, wheel):
 
 @compiled
 def settle(lanes, n_wheels, l, modes, torques):
-    """Let those wheels at rest go that friction cannot hold, the most overloaded first: each changes what the rest has to bear."""
+    """Release the wheels at rest that friction cannot hold, one by one: each release changes the load of the others.
+
+    The wheel with the largest load over its limit is released first.
+    """
     u = lanes.u
     omega, holding = np.empty(3), np.empty(WHEELS)
     for _ in range(n_wheels):
@@ -370,11 +383,11 @@ def settle(lanes, n_wheels, l, modes, torques):
 
 @compiled
 def pass_event(lanes, n_wheels, l, modes, torques, wheel):
-    """Take lane l through the event of a wheel, and return what the wheel does.
+    """Change the mode of lane l at the event of a wheel, and return what the wheel does.
 
-    Forward in time a wheel that comes to rest sticks (STOPS) or goes on into reverse (REVERSES), and a stuck one BREAKS_AWAY.
-    Backward, a wheel that passes zero where friction could not hold it had reversed. Where friction could, the wheel RESTS:
-    friction forgets what was before. A stuck wheel beyond its limit is OVERLOADED: it cannot have been stuck before.
+    Forward in time a wheel that comes to rest sticks (STOPS) or continues in reverse (REVERSES), and a stuck one BREAKS_AWAY.
+    Backward in time, a wheel at zero speed that friction could not hold had reversed. If friction could hold it, it RESTS: the time
+    before is not determined. A stuck wheel beyond its limit is OVERLOADED: it cannot have been stuck before.
     """
     u = lanes.u
     w = wheel * PER_WHEEL + l

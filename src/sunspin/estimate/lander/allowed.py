@@ -1,4 +1,8 @@
-"""Directions to the Sun that the readings of a sample allow, and by how much readings contradict other directions."""
+"""Directions to the Sun that the panel readings of a sample allow, and by how much readings contradict other directions.
+
+Both are coarse tests of the search, with a tolerance for noise (`sigmas`), for brightness and gains (`brightness`) and for outliers
+(`cap`) from :class:`GridSettings`. n samples with p inputs; directions are unit vectors in body axes.
+"""
 
 from __future__ import annotations
 
@@ -12,62 +16,62 @@ from sunspin.vehicle.response.planes import sphere
 
 
 def possible_directions(panels: PanelPowers, sample: int, s: GridSettings) -> np.ndarray:
-    """Return directions to the Sun (c, 3) that the readings of a sample allow, `directions_rad` apart; the best one first."""
-    panels_then = panels.take(slice(sample, sample + 1))
+    """Return directions to the Sun (c, 3) that the readings of one sample allow, about `directions_rad` apart; the best one first.
+
+    `sample`: its index. Each allowed direction is within `directions_rad` of a returned one.
+    """
+    at_sample = panels.take(slice(sample, sample + 1))
     around = sphere(s.directions)
-    light = panels.brightness * panels.response.power(around)[:, None]
+    power = panels.brightness * panels.response.power(around)[:, None]
     if panels.throttled:
-        light = panels_then.best_factor(light)[0] * light
+        power = at_sample.best_factor(power)[0] * power
     full = panels.brightness * panels.response.power(panels.response.facing_B).diagonal()
     tolerance = np.hypot(s.sigmas * panels.sigma, s.brightness * full)
-    square = np.minimum(((light[:, 0] - panels_then.power[0]) / tolerance) ** 2, s.cap)
-    misfit = square @ panels_then.used[0]
+    square = np.minimum(((power[:, 0] - at_sample.power[0]) / tolerance) ** 2, s.cap)
+    misfit = square @ at_sample.used[0]
     order = np.argsort(misfit, kind="stable")
     allowed = around[order][misfit[order] < misfit.min() + 1.0]
-    # choose the direction farthest from all chosen ones next, until each is near a chosen one
-    chosen, nearest = allowed[:1], allowed @ allowed[0]  # cosines
-    while nearest.min() < np.cos(s.directions_rad):
-        chosen = np.concatenate([chosen, allowed[[np.argmin(nearest)]]])
-        nearest = np.maximum(nearest, allowed @ chosen[-1])
+    # next choose the direction farthest from all chosen ones, until each is near a chosen one
+    chosen, nearest_cosine = allowed[:1], allowed @ allowed[0]
+    while nearest_cosine.min() < np.cos(s.directions_rad):
+        chosen = np.concatenate([chosen, allowed[[np.argmin(nearest_cosine)]]])
+        nearest_cosine = np.maximum(nearest_cosine, allowed @ chosen[-1])
     return chosen
 
 
 def shortfall(
     panels: PanelPowers, sun_B: np.ndarray, angle_rad: float, s: GridSettings
 ) -> np.ndarray:
-    """Return by how much (K, n) readings contradict all directions within an angle of `sun_B` (K, n, 3): squares of sigmas.
+    """Return a lower bound (K, n) of the misfit of readings, in squared sigmas, for all directions within an angle of `sun_B`.
 
-    The power of an input within that angle is in an interval. A reading beyond it by more than the tolerance is a contradiction.
-    Each reading of a throttled sample allows an interval of factors. If a factor agrees with all readings, one of the ends of these
-    intervals does, so that only the ends are tried.
+    `sun_B` (K, n, 3): a direction for each sample. The power of an input within that angle is in an interval. A reading counts by
+    its distance from the interval, less `sigmas` sigmas. Each reading of a throttled sample allows an interval of factors. If any
+    factor agrees with all readings, one of the ends of these intervals does, so only the ends are tried.
     """
     low, high = panels.response.bounds(sun_B, angle_rad)
     low = panels.brightness * low * (1 - s.brightness)
     high = panels.brightness * high * (1 + s.brightness)
-    slack = s.sigmas * panels.sigma
+    tolerance = s.sigmas * panels.sigma
     factors: list[np.ndarray | float] = [1.0]
     if panels.throttled:
+        # smallest factors, (reading - tolerance) / high, then largest ones, (reading + tolerance) / low: (K, n, 1) for each input
         factors = []
-        for bound, value in ((high, panels.power - slack), (low, panels.power + slack)):
+        for bound, value in ((high, panels.power - tolerance), (low, panels.power + tolerance)):
             usable = panels.used & (bound > 0)
-            ends = np.divide(
-                np.maximum(value, 0.0) + np.zeros_like(bound),
-                bound,
-                out=np.zeros_like(bound),
-                where=usable,
-            )
+            value = np.maximum(value, 0.0) + np.zeros_like(bound)
+            ends = np.divide(value, bound, out=np.zeros_like(bound), where=usable)
             factors += list(np.moveaxis(ends, -1, 0)[..., None])
     least = np.full(low.shape[:2], np.inf)
     for factor in factors:
-        short = np.maximum(factor * low - panels.power, panels.power - factor * high)
-        beyond = np.maximum(short / panels.sigma - s.sigmas, 0.0)
+        outside = np.maximum(factor * low - panels.power, panels.power - factor * high)
+        beyond = np.maximum(outside / panels.sigma - s.sigmas, 0.0)
         square = np.where(panels.used, np.minimum(beyond**2, s.cap), 0.0).sum(axis=2)
         least = np.minimum(least, square)
     return least
 
 
 def cube_nodes(size: int) -> np.ndarray:
-    """Return directions (6 (size + 1)^2, 3) on a grid over the sphere, for tables of what readings say of a direction.
+    """Return directions (6 (size + 1)^2, 3) on a grid over the sphere, at which misfits of readings are tabulated.
 
     They are projected from nodes on a cube: (size + 1) rows and columns on each of the faces +x, -x, +y, -y, +z, -z, along the next
     two axes.

@@ -223,7 +223,7 @@ class Shooting:
         duration_s = FIT_S * min(count, most) * samples / self.shooting.held
         takes = f"takes about {duration_s / 60:.1f} min"
         if count > most:
-            smaller = self.reference.given * (most / count) ** (1 / 3)
+            smaller = self.reference.prior_max_rate * (most / count) ** (1 / 3)
             _warn(
                 f"{count} motions may fit {samples} samples; {most} of them are followed, which {takes}, and the search will not "
                 f"be complete; with --prior max_rate_rad_s={smaller:.2g} about all of them would be followed"
@@ -240,7 +240,7 @@ class Shooting:
         cells = cell_count(reference.limit, reference.edge)
         duration_s = START_S * cells * len(reference.suns)
         if duration_s > LONG_S:
-            smaller = min(reference.given, reference.limit) * (LONG_S / duration_s) ** (1 / 3)
+            smaller = min(reference.prior_max_rate, reference.limit) * (LONG_S / duration_s) ** (1 / 3)
             _warn(
                 f"looking for starts takes about {duration_s / 60:.1f} min; with --prior max_rate_rad_s={smaller:.2g} about one"
             )

@@ -1,8 +1,10 @@
 """The compiled search for starts in the cells of a grid of rates: comparison with the readings, and least squares.
 
-A cell is a cube of rates at the reference. At its eight corners the attitudes at m other samples are known, and in it quaternions
-are interpolated. A start is a rate, by its place x (3) in a cell in parts of the edge, and a direction to the Sun at the reference,
-by the index of a direction and a step (2) from it in its tangent plane. Begin to read at :func:`search_cells`, the last function.
+The reference is one sample; the search compares readings there and at m other samples. A cell is a cube of body rates at the
+reference. At its eight corners the attitudes at the m samples are known as quaternions; inside it these are interpolated.
+
+A start has five coordinates. Three give the rate: its place x in a cell, in parts of the edge. Two give the direction to the Sun at
+the reference: a step along two tangents of a listed direction. Begin to read at :func:`search_cells`, the last function.
 `tests/estimate/plain_cells.py` does the same in NumPy.
 """
 
@@ -17,17 +19,17 @@ from sunspin.estimate.terms.powers import HALF_WEIGHT, ROUNDS, PanelPowers
 from sunspin.vehicle.response.joined import JoinedResponse
 
 DARK_SLOPE = 0.1
-"""A panel that was read as lit gets a derivative up to this cosine beyond its edge, so that least squares moves it into the
-light."""
+"""If a panel was read as lit but computed as dark, its power has a derivative as long as the cosine of incidence exceeds minus
+this. So least squares can move it into the light."""
 
 SOFT_SIGMAS = 5.0
 """A residual far beyond this many sigmas has little weight in least squares: the reading may be an outlier."""
 
 DAMPING, LEAST_DAMPING = 1e-2, 1e-3
-"""Part of the curvature that damps a step by which a start settles, and the least damping."""
+"""Damping of a least-squares step: part of each diagonal element of the normal equations, and what is added to all of them."""
 
 LONGEST_PLACE, LONGEST_TURN = 0.25, 0.3
-"""Longest step of a place, in parts of the edge, and of a direction, rad."""
+"""Longest change in one least-squares step: of the place x, in parts of the edge, and of the direction to the Sun, rad."""
 
 FARTHEST_PLACE, KEPT_PLACE = 0.2, 0.5
 """Limits in parts of the edge: of a place outside its cell, and of a settled start from the middle of its eighth. Farther starts
@@ -38,16 +40,17 @@ OF_CELL, OF_SUN, OF_PLACE, OF_STEP, OF_MISFIT = 0, 1, slice(2, 5), slice(5, 7), 
 """Columns of a start: index of its cell, index of its direction, place (3), step (2), misfit."""
 
 COORDINATES = 5
-"""Of a start in least squares: place (3), then step (2)."""
+"""Coordinates of a start in least squares: place (3), then step (2)."""
 
 
 class PanelTable(NamedTuple):
-    """Panels and what they read, as compiled code takes them: p inputs, each of one panel or several.
+    """Panels and their readings, as arrays for compiled code. There are p inputs, each with the power of one or more panels.
 
-    `first` (p + 1): the panels of input j are `first[j]` to `first[j + 1]`; `rows` (n_panel, 3): normal times power in full Sun;
-    `largest` (p): the input reads the largest of its panels, not their sum; `facing` (p, 3), `full` (p): direction and power of
-    its largest reading. `power`, `used` (1 + m, p): readings, those of the reference first; `sigma` (p); `throttled` as in
-    :class:`PanelPowers`.
+    `first` (p + 1): the panels of input j are `first[j]` to `first[j + 1] - 1`; `rows` (n_panel, 3): normal times power in full
+    Sun; `largest` (p): whether the input reads the largest of its panels, not their sum; `facing` (p, 3), `full` (p): direction
+    to the Sun for which the input reads most, and that power. `power`, `used` (1 + m, p): readings, and whether they count, first
+    those of the reference; `sigma` (p): their errors. `throttled`: a common factor of each sample is unknown
+    (:class:`PanelPowers`).
     """
 
     first: np.ndarray
@@ -62,7 +65,7 @@ class PanelTable(NamedTuple):
 
     @classmethod
     def of(cls, panels: PanelPowers) -> PanelTable:
-        """Return the panels and readings of some samples."""
+        """Return the table of a panel term that holds the reference sample first, then the m other samples."""
         response = panels.response
         count = len(response.gains)
         members, largest = [np.array([k]) for k in range(count)], [False] * count
@@ -79,10 +82,10 @@ class PanelTable(NamedTuple):
 
 
 class Tables(NamedTuple):
-    """Comparison of the readings of m samples with n directions, the nodes: arrays (m, n) of float32, computed once.
+    """Misfit of the readings of m samples for n directions to the Sun, the nodes: arrays (m, n) of float32, computed once.
 
-    `near`, `far`: by how much the readings contradict all directions within `near_rad` or `far_rad` (:class:`GridSettings`) of the
-    node; `misfit`: sum of squares of the node itself.
+    `near`, `far`: lower bound of the misfit of all directions within `near_rad` or `far_rad` (:class:`GridSettings`) of the node,
+    in squared sigmas (:func:`~sunspin.estimate.lander.allowed.shortfall`); `misfit`: sum of squares at the node itself.
     """
 
     near: np.ndarray
@@ -103,38 +106,38 @@ class Limits(NamedTuple):
 
 
 class Cells(NamedTuple):
-    """Cells in which starts are sought.
+    """Cells in which starts are sought, with the attitudes at the points of their grid.
 
-    `lowest` (c): index of the lowest corner of each in the cube of a :class:`RateGrid`, `away` (8): what is added for each corner;
-    `row_of`, `turn` as there. `suns` (s, 3, 3): directions at the reference, each with two tangents. `middles` (8, 3), `points` (8,
-    8, 3): middles of the eighths of a cell, and places in each eighth.
+    `lowest` (c): index of the lowest corner of each cell in the cube of a :class:`RateGrid`; `corner_offsets` (8) lead from there
+    to all corners; `row_of`, `quaternions` as in that class. `suns` (s, 3, 3): directions to the Sun at the reference, each with
+    two tangents. `middles` (8, 3), `points` (8, 8, 3): middles of the eighths of a cell, and eight places in each eighth.
     """
 
     lowest: np.ndarray
-    away: np.ndarray
+    corner_offsets: np.ndarray
     row_of: np.ndarray
-    turn: np.ndarray
+    quaternions: np.ndarray
     suns: np.ndarray
     middles: np.ndarray
     points: np.ndarray
 
 
 class Workspace(NamedTuple):
-    """Arrays that compiled code overwrites for each start.
+    """Arrays that compiled code overwrites for each start. A slope is a derivative by the five coordinates of the start.
 
-    `q` (4, 4): quaternion of the attitude at a sample and its changes by the place. `here` (3, 3): direction at the reference and
-    its changes by the step; `sun` (3), `slope` (5, 3): direction at a sample and its changes by place and step. `light` (p),
-    `change` (p, 5): power of each input and its changes; `follows` (5): the part by which a throttled sample's factor falls.
-    `normal` (5, 5), `gradient` (5): normal equations, solved by `move` (5).
+    `q` (4, 4): quaternion of the attitude at a sample, and its derivatives by the place. `reference_sun` (3, 3): direction at the
+    reference, and its derivatives by the step; `sun` (3), `sun_slope` (5, 3): direction at a sample. `power` (p), `power_slope`
+    (p, 5): computed power of each input; `factor_fall` (5): relative fall of a throttled sample's factor for a unit of each
+    coordinate. `normal` (5, 5), `gradient` (5): normal equations; `move` (5): their solution.
     """
 
     q: np.ndarray
-    here: np.ndarray
+    reference_sun: np.ndarray
     sun: np.ndarray
-    slope: np.ndarray
-    light: np.ndarray
-    change: np.ndarray
-    follows: np.ndarray
+    sun_slope: np.ndarray
+    power: np.ndarray
+    power_slope: np.ndarray
+    factor_fall: np.ndarray
     normal: np.ndarray
     gradient: np.ndarray
     move: np.ndarray
@@ -145,32 +148,39 @@ class Workspace(NamedTuple):
 
 @compiled
 def load_corners(cells, cell, corners):
-    """Write the quaternions at the corners of a cell (8, m, 4), with the sign of q or -q that is nearer to that of the first."""
+    """Write the quaternions at the corners of a cell into `corners` (8, m, 4), with signs that suit interpolation.
+
+    q and -q are the same attitude; of the two the one nearer to the quaternion of the first corner is taken.
+    """
     for c in range(8):
-        row = cells.row_of[cell + cells.away[c]]
+        row = cells.row_of[cell + cells.corner_offsets[c]]
         for m in range(corners.shape[1]):
-            alike = 0.0
+            product = 0.0
             for k in range(4):
-                corners[c, m, k] = cells.turn[row, m, k]
-                alike += corners[c, m, k] * corners[0, m, k]
-            if alike < 0:
+                corners[c, m, k] = cells.quaternions[row, m, k]
+                product += corners[c, m, k] * corners[0, m, k]
+            if product < 0:
                 for k in range(4):
                     corners[c, m, k] = -corners[c, m, k]
 
 
 @compiled
 def interpolate(corners, m, x, q):
-    """Write into q[0] the quaternion of sample m at place x, and into q[1:] its derivatives by x: trilinear, over z, y and x.
+    """Write the quaternion (4) of sample m at the place x (3) of a cell into q[0], its derivatives by x into q[1:].
 
-    Corner 4 a + 2 b + c is that at the end a of x, b of y and c of z.
+    It is interpolated trilinearly and is not a unit quaternion. `corners` (8, m, 4) as of :func:`load_corners`: corner
+    4 a + 2 b + c is at the end a (0 or 1) of the first axis, b of the second, c of the third.
     """
     for k in range(4):
-        for a in range(2):  # the sides of the cell at x = 0 and x = 1
+        # each of the two sides across the first axis is interpolated along the third, then along the second axis
+        for a in range(2):
+            # `low` and `high`: the ends of the second axis
             low, high = corners[4 * a, m, k], corners[4 * a + 2, m, k]
             rise_low, rise_high = corners[4 * a + 1, m, k] - low, corners[4 * a + 3, m, k] - high
             low, high = low + x[2] * rise_low, high + x[2] * rise_high
             value, by_y = low + x[1] * (high - low), high - low
             by_z = rise_low + x[1] * (rise_high - rise_low)
+            # then between the sides, along the first axis
             if a == 0:
                 q[0, k], q[1, k], q[2, k], q[3, k] = value, -value, by_y, by_z
             else:
@@ -182,7 +192,8 @@ def interpolate(corners, m, x, q):
 
 @compiled
 def rotate(q, vector, out):
-    """Write into `out` a vector rotated by the quaternion q (4), scalar last, of any length."""
+    """Write into `out` a vector (3) rotated by the quaternion q (4), scalar last, of any length."""
+    # with the vector part v and the scalar w of the unit quaternion: r + w t + v x t, t = 2 v x r
     x, y, z, w = q[0], q[1], q[2], q[3]
     twice = 2.0 / max(x * x + y * y + z * z + w * w, 1e-9)
     a = twice * (y * vector[2] - z * vector[1])
@@ -194,13 +205,17 @@ def rotate(q, vector, out):
 
 
 @compiled
-def turned_by(q, change, vector, out):
-    """Write the change of a rotated vector if its quaternion q (4) changes: a turn by twice the vector part of change q* / q q*."""
+def write_rotation_slope(q, change, vector, out):
+    """Write into `out` (3) the derivative of a rotated vector, given the derivative `change` (4) of its quaternion q (4).
+
+    `vector` (3) is the vector after rotation. The rotation changes by the small rotation vector (a, b, c), twice the vector part
+    of the quaternion product change q* / |q|^2, and the vector by (a, b, c) x vector.
+    """
     x, y, z, w = q[0], q[1], q[2], q[3]
-    half = 2.0 / max(x * x + y * y + z * z + w * w, 1e-9)
-    a = half * (w * change[0] - change[3] * x - change[1] * z + change[2] * y)
-    b = half * (w * change[1] - change[3] * y - change[2] * x + change[0] * z)
-    c = half * (w * change[2] - change[3] * z - change[0] * y + change[1] * x)
+    scale = 2.0 / max(x * x + y * y + z * z + w * w, 1e-9)
+    a = scale * (w * change[0] - change[3] * x - change[1] * z + change[2] * y)
+    b = scale * (w * change[1] - change[3] * y - change[2] * x + change[0] * z)
+    c = scale * (w * change[2] - change[3] * z - change[0] * y + change[1] * x)
     out[0], out[1], out[2] = (
         b * vector[2] - c * vector[1],
         c * vector[0] - a * vector[2],
@@ -210,8 +225,9 @@ def turned_by(q, change, vector, out):
 
 @compiled
 def nearest_node(size, x, y, z):
-    """Return the index of the node nearest to a direction, in the order of :func:`sunspin.estimate.lander.allowed.cube_nodes`."""
+    """Return the index of the node nearest to the direction (x, y, z) among :func:`~sunspin.estimate.lander.allowed.cube_nodes`."""
     along = (abs(x), abs(y), abs(z))
+    # the face of the cube that the direction hits, and its coordinates there times the component `top` along the face's normal
     if along[0] >= along[1] and along[0] >= along[2]:
         axis, top, row, column = 0, x, y, z
     elif along[1] >= along[2]:
@@ -225,19 +241,20 @@ def nearest_node(size, x, y, z):
     return face * (size + 1) * (size + 1) + i * (size + 1) + j
 
 
-# ---- looking through -------------------------------------------------------------------------------------------------------
+# ---- comparison with tabulated misfits -------------------------------------------------------------------------------------
 
 
 @compiled
-def contradiction(turns, sun, short, limits, out):
-    """Return by how much the worst sample contradicts all directions near `sun` rotated by the quaternions `turns` (m, 4).
+def worst_bound(quaternions, sun, bounds, limits, out):
+    """Return the largest lower bound, over m samples, of the misfit of all motions near one.
 
-    `short`: `near` or `far` of the tables. It ends at the first sample beyond the limit.
+    That motion takes the direction `sun` (3) at the reference to each sample by `quaternions` (m, 4). `bounds` (m, n): `near` or
+    `far` of :class:`Tables`. Samples after the first one beyond the limit are left out. `out` (3) is scratch.
     """
     worst = 0.0
-    for m in range(len(turns)):
-        rotate(turns[m], sun, out)
-        worst = max(worst, short[m, nearest_node(limits.nodes, out[0], out[1], out[2])])
+    for m in range(len(quaternions)):
+        rotate(quaternions[m], sun, out)
+        worst = max(worst, bounds[m, nearest_node(limits.nodes, out[0], out[1], out[2])])
         if worst > limits.limit:
             break
     return worst
@@ -245,13 +262,13 @@ def contradiction(turns, sun, short, limits, out):
 
 @compiled
 def best_point(corners, places, sun, tables, limits, work):
-    """Return the index of the best of the `places` (8, 3) in a cell, and its misfit.
+    """Return the index of the best of the `places` (8, 3) in a cell, and its misfit, for one direction `sun` (3).
 
-    The misfit is infinite if at each place the readings of some sample contradict the motion.
+    A place at which the `near` bound of some sample exceeds the limit is left out. If all are, the misfit is infinite.
     """
     least, best = np.inf, 0
     for point in range(8):
-        worst, total = 0.0, 0.0
+        worst, total = 0.0, 0.0  # largest bound of a sample; sum of the misfits
         for m in range(corners.shape[1]):
             interpolate(corners, m, places[point], work.q)
             rotate(work.q[0], sun, work.sun)
@@ -269,71 +286,74 @@ def best_point(corners, places, sun, tables, limits, work):
 
 
 @compiled
-def see(panels, m, sun, slope, work):
-    """Write the power of each input in sample m for a direction `sun` (3), and its changes if that changes by `slope` (5, 3).
+def write_powers(panels, m, sun, sun_slope, work):
+    """Write `work.power` and `work.power_slope` of sample m for a direction `sun` (3) and its slope (5, 3).
 
-    Changes of inputs that are dark, as they should be, are not written: these add nothing.
+    Slopes of inputs that are dark and were read as dark are not written: these inputs add nothing to the equations.
     """
     for j in range(len(panels.full)):
+        # the power of the input, and its derivative (a, b, c) by the direction to the Sun
         power, a, b, c = 0.0, 0.0, 0.0, 0.0
         for k in range(panels.first[j], panels.first[j + 1]):
             row = panels.rows[k]
-            here = row[0] * sun[0] + row[1] * sun[1] + row[2] * sun[2]
-            if here > 0 and panels.largest[j]:
-                if here > power:
-                    power, a, b, c = here, row[0], row[1], row[2]
-            elif here > 0:
-                power, a, b, c = power + here, a + row[0], b + row[1], c + row[2]
-        work.light[j] = power
+            of_panel = row[0] * sun[0] + row[1] * sun[1] + row[2] * sun[2]
+            if of_panel > 0 and panels.largest[j]:
+                if of_panel > power:
+                    power, a, b, c = of_panel, row[0], row[1], row[2]
+            elif of_panel > 0:
+                power, a, b, c = power + of_panel, a + row[0], b + row[1], c + row[2]
+        work.power[j] = power
         if power <= 0 and not (panels.used[m, j] and panels.power[m, j] > 0):
             continue
-        if power <= 0:
+        if power <= 0:  # read as lit, but computed as dark: see DARK_SLOPE
             row = panels.facing[j]
             if row[0] * sun[0] + row[1] * sun[1] + row[2] * sun[2] > -DARK_SLOPE:
                 a, b, c = panels.full[j] * row[0], panels.full[j] * row[1], panels.full[j] * row[2]
         for i in range(COORDINATES):
-            work.change[j, i] = a * slope[i, 0] + b * slope[i, 1] + c * slope[i, 2]
+            work.power_slope[j, i] = a * sun_slope[i, 0] + b * sun_slope[i, 1] + c * sun_slope[i, 2]
 
 
 @compiled
 def best_factor(panels, m, work):
-    """Return the factor that fits the readings of a throttled sample best, and write how it follows the five coordinates.
+    """Return the factor by which computed powers fit the readings of a throttled sample m best, and write `work.factor_fall`.
 
-    As :meth:`PanelPowers.best_factor`; in the derivative the last weights are held.
+    The factor is that of weighted least squares, sum(w y p) / sum(w p^2) with readings y and powers p. Weights w fall for
+    outliers, and are computed again with each factor, as in :meth:`PanelPowers.best_factor`. `factor_fall` is exact for fixed
+    weights and readings that fit, y = factor p.
     """
-    least, factor, size = panels.sigma.min(), 1.0, 0.0
-    for again in range(ROUNDS + 1):
-        along, size = 0.0, 0.0
-        work.follows[:] = 0.0
+    least, factor, square = panels.sigma.min(), 1.0, 0.0
+    for round_number in range(ROUNDS + 1):
+        product, square = 0.0, 0.0
+        work.factor_fall[:] = 0.0
         for j in range(len(panels.full)):
             if not panels.used[m, j]:
                 continue
             weight = (least / panels.sigma[j]) ** 2
-            if again:
-                off = (panels.power[m, j] - factor * work.light[j]) / (
+            if round_number:
+                residual = (panels.power[m, j] - factor * work.power[j]) / (
                     HALF_WEIGHT * panels.sigma[j]
                 )
-                weight /= 1.0 + off * off
-            size += weight * work.light[j] ** 2
-            along += weight * max(panels.power[m, j], 0.0) * work.light[j]
-            if work.light[j] > 0:
+                weight /= 1.0 + residual * residual
+            square += weight * work.power[j] ** 2
+            product += weight * max(panels.power[m, j], 0.0) * work.power[j]
+            if work.power[j] > 0:
                 for i in range(COORDINATES):
-                    work.follows[i] += weight * work.light[j] * work.change[j, i]
-        factor = along / size if size > 0 else 1.0
+                    work.factor_fall[i] += weight * work.power[j] * work.power_slope[j, i]
+        factor = product / square if square > 0 else 1.0
     for i in range(COORDINATES):
-        work.follows[i] = work.follows[i] / size if size > 0 else 0.0
+        work.factor_fall[i] = work.factor_fall[i] / square if square > 0 else 0.0
     return factor
 
 
 @compiled
 def add_sample(panels, m, limits, work):
-    """Add sample m, whose powers :func:`see` has written, to the normal equations; return the misfit of its readings."""
+    """Add sample m, whose powers :func:`write_powers` has written, to the normal equations; return the misfit of its readings."""
     misfit, factor = 0.0, 1.0
     if panels.throttled:
         factor = best_factor(panels, m, work)
     for j in range(len(panels.full)):
-        power, read = factor * work.light[j], panels.power[m, j]
-        # an input that is dark, as it should be, adds nothing
+        power, read = factor * work.power[j], panels.power[m, j]
+        # an input that is dark and was read as dark adds nothing
         if not panels.used[m, j] or not (power > 0 or read > 0):
             continue
         # errors of interpolated attitudes blur a reading in proportion to the power in full Sun
@@ -343,101 +363,106 @@ def add_sample(panels, m, limits, work):
         misfit += min(square, limits.cap)
         weight = precision / (1.0 + square / SOFT_SIGMAS**2)
         if panels.throttled:
-            # the factor falls by the share follows[i] for a unit of coordinate i
+            # the slope of the power times the factor, which falls itself
             for i in range(COORDINATES):
-                work.change[j, i] = factor * (work.change[j, i] - work.light[j] * work.follows[i])
+                fall = work.power[j] * work.factor_fall[i]
+                work.power_slope[j, i] = factor * (work.power_slope[j, i] - fall)
         for i in range(COORDINATES):
-            pull = weight * work.change[j, i]
-            work.gradient[i] += pull * (power - read)
-            for k in range(i + 1):  # the lower half: `solve` reads no more
-                work.normal[i, k] += pull * work.change[j, k]
+            weighted = weight * work.power_slope[j, i]
+            work.gradient[i] += weighted * (power - read)
+            for k in range(i + 1):  # the lower half: `solve_damped` reads no more
+                work.normal[i, k] += weighted * work.power_slope[j, k]
     return misfit
 
 
 @compiled
-def solve(normal, gradient, move):
-    """Write the damped step that solves normal equations: Cholesky's factor replaces the lower half of `normal` (5, 5)."""
+def solve_damped(normal, gradient, move):
+    """Write into `move` (5) the solution of damped normal equations, with the gradient (5) of half the sum of squares.
+
+    Only the lower half of `normal` (5, 5) is read. Cholesky's factor replaces it.
+    """
     for i in range(COORDINATES):
         normal[i, i] += DAMPING * normal[i, i] + LEAST_DAMPING
-    for i in range(COORDINATES):
+    for i in range(COORDINATES):  # Cholesky's factor
         for j in range(i + 1):
             value = normal[i, j]
             for k in range(j):
                 value -= normal[i, k] * normal[j, k]
             normal[i, j] = np.sqrt(value) if i == j else value / normal[j, j]
-    for i in range(COORDINATES):
+    for i in range(COORDINATES):  # forward, then backward substitution
         value = -gradient[i]
         for k in range(i):
             value -= normal[i, k] * move[k]
         move[i] = value / normal[i, i]
-    for i in range(4, -1, -1):
-        for k in range(i + 1, 5):
+    for i in range(COORDINATES - 1, -1, -1):
+        for k in range(i + 1, COORDINATES):
             move[i] -= normal[k, i] * move[k]
         move[i] /= normal[i, i]
 
 
 @compiled
-def equations(corners, start, frame, panels, limits, work):
+def write_equations(corners, start, frame, panels, limits, work):
     """Write the normal equations of a start into `work.normal` (lower half) and `work.gradient`, and return its misfit.
 
-    Samples are the reference (m = 0), then those of `corners`. `work.slope`: derivatives of a sample's Sun by the five coordinates.
-    `start` (5): its place x (3) in its cell, then the step (2) that leads from the direction `frame[0]` to the Sun at the reference
-    along the tangents `frame[1:]`.
+    Samples are the reference (m = 0), then those of `corners`. `start` (5): its place x (3) in its cell, then the step (2) along
+    the tangents `frame[1:]` that leads from the direction `frame[0]` to the Sun at the reference.
     """
     x, step = start[:3], start[3:]
     for i in range(COORDINATES):
         work.gradient[i] = 0.0
         for k in range(i + 1):
             work.normal[i, k] = 0.0
-    here = work.here  # the direction at the reference, and its derivatives by the two steps
+    sun, sun_slope = work.reference_sun, work.sun_slope
     for k in range(3):
-        here[0, k] = frame[0, k] + step[0] * frame[1, k] + step[1] * frame[2, k]
-    length = np.sqrt(here[0, 0] ** 2 + here[0, 1] ** 2 + here[0, 2] ** 2)
+        sun[0, k] = frame[0, k] + step[0] * frame[1, k] + step[1] * frame[2, k]
+    length = np.sqrt(sun[0, 0] ** 2 + sun[0, 1] ** 2 + sun[0, 2] ** 2)
     for k in range(3):
-        here[0, k] /= length
-    # of a unit vector: the derivatives before it was normalised, over the length, less their part along it
+        sun[0, k] /= length
+    # derivatives of a vector v over its length by the step: (dv - n (n . dv)) / |v|, n = v / |v|
     for i in range(1, 3):
-        along = here[0, 0] * frame[i, 0] + here[0, 1] * frame[i, 1] + here[0, 2] * frame[i, 2]
+        along = sun[0, 0] * frame[i, 0] + sun[0, 1] * frame[i, 1] + sun[0, 2] * frame[i, 2]
         for k in range(3):
-            here[i, k] = (frame[i, k] - along * here[0, k]) / length
+            sun[i, k] = (frame[i, k] - along * sun[0, k]) / length
     misfit = 0.0
     for m in range(1 + corners.shape[1]):
         if m == 0:  # the reference, whose direction does not depend on the rate
             for k in range(3):
-                work.slope[0, k], work.slope[1, k], work.slope[2, k] = 0.0, 0.0, 0.0
-                work.slope[3, k], work.slope[4, k] = here[1, k], here[2, k]
-            see(panels, m, here[0], work.slope, work)
+                sun_slope[0, k], sun_slope[1, k], sun_slope[2, k] = 0.0, 0.0, 0.0
+                sun_slope[3, k], sun_slope[4, k] = sun[1, k], sun[2, k]
+            write_powers(panels, m, sun[0], sun_slope, work)
         else:
             interpolate(corners, m - 1, x, work.q)
-            rotate(work.q[0], here[0], work.sun)
+            rotate(work.q[0], sun[0], work.sun)
             for i in range(3):
-                turned_by(work.q[0], work.q[1 + i], work.sun, work.slope[i])
+                write_rotation_slope(work.q[0], work.q[1 + i], work.sun, sun_slope[i])
             for i in range(2):
-                rotate(work.q[0], here[1 + i], work.slope[3 + i])
-            see(panels, m, work.sun, work.slope, work)
+                rotate(work.q[0], sun[1 + i], sun_slope[3 + i])
+            write_powers(panels, m, work.sun, sun_slope, work)
         misfit += add_sample(panels, m, limits, work)
     return misfit
 
 
 @compiled
 def settle(corners, start, frame, panels, limits, work):
-    """Move a `start` (5), place and step, to the nearest solution by Gauss-Newton, and return its misfit.
+    """Move a `start` (5), place and step, to the nearest local minimum by Gauss-Newton steps, and return its misfit.
 
-    It ends early if `gain_left` times what the last step has gained would leave the misfit too large.
+    Arguments as of :func:`write_equations`. A start is given up if its misfit would stay above `settled` even if all further steps
+    gained `gain_left` times as much as the last one.
     """
     misfit = np.inf
     for taken in range(limits.steps + 1):
-        before, misfit = misfit, equations(corners, start, frame, panels, limits, work)
+        before, misfit = misfit, write_equations(corners, start, frame, panels, limits, work)
         gained = max(before - misfit, 0.0)
         if taken == limits.steps or misfit - limits.gain_left * gained > limits.settled:
             break
         move = work.move
-        solve(work.normal, work.gradient, move)
+        solve_damped(work.normal, work.gradient, move)
+        # a step beyond the longest change of place or direction is shortened
         place = max(abs(move[0]), abs(move[1]), abs(move[2])) / LONGEST_PLACE
-        turn = max(abs(move[3]), abs(move[4])) / LONGEST_TURN
-        size = max(place, turn, 1.0)
+        direction = max(abs(move[3]), abs(move[4])) / LONGEST_TURN
+        excess = max(place, direction, 1.0)
         for i in range(COORDINATES):
-            start[i] += move[i] / size
+            start[i] += move[i] / excess
         for i in range(3):
             start[i] = min(max(start[i], -FARTHEST_PLACE), 1.0 + FARTHEST_PLACE)
     return misfit
@@ -448,30 +473,42 @@ def _entry(sources: int) -> Any:
 
     @cached("compiling the search for starts of a posterior, once (some 10 s)")
     def search_cells(cells, tables, panels, limits):
-        """Return the starts (n, START_SIZE) that settle in cells: of each eighth of a cell and each direction one at most."""
+        """Return the starts (n, START_SIZE) that settle in cells: at most one for each eighth of a cell and each direction.
+
+        Arguments are :class:`Cells`, :class:`Tables`, :class:`PanelTable` and :class:`Limits`. For each eighth and direction,
+        cheap tests come first: a bound at its middle, then misfits from tables at eight places, then least squares from the best.
+        """
         _ = sources
         count, starts = 0, np.empty((256, START_SIZE))
-        p, others = len(panels.full), cells.turn.shape[1]
-        corners = np.empty((8, others, 4))
-        q, here, sun, slope = np.empty((4, 4)), np.empty((3, 3)), np.empty(3), np.empty((5, 3))
-        light, change, follows = np.empty(p), np.empty((p, 5)), np.empty(5)
-        normal, gradient, move = np.empty((5, 5)), np.empty(5), np.empty(5)
-        work = Workspace(q, here, sun, slope, light, change, follows, normal, gradient, move)
-        turns, start = np.empty((others, 4)), np.empty(COORDINATES)
+        p, samples = len(panels.full), cells.quaternions.shape[1]
+        corners = np.empty((8, samples, 4))
+        work = Workspace(
+            q=np.empty((4, 4)),
+            reference_sun=np.empty((3, 3)),
+            sun=np.empty(3),
+            sun_slope=np.empty((5, 3)),
+            power=np.empty(p),
+            power_slope=np.empty((p, 5)),
+            factor_fall=np.empty(5),
+            normal=np.empty((5, 5)),
+            gradient=np.empty(5),
+            move=np.empty(5),
+        )
+        at_middle, start = np.empty((samples, 4)), np.empty(COORDINATES)
         for cell in cells.lowest:
             load_corners(cells, cell, corners)
             for eighth in range(8):
                 middle = cells.middles[eighth]
-                for m in range(others):
+                for m in range(samples):
                     interpolate(corners, m, middle, work.q)
-                    turns[m] = work.q[0]
+                    at_middle[m] = work.q[0]
                 for s in range(len(cells.suns)):
-                    # does any direction near the middle agree with the readings?
+                    # can any motion near that of the middle agree with the readings?
                     frame = cells.suns[s]
-                    far = contradiction(turns, frame[0], tables.far, limits, work.sun)
-                    if far > limits.limit:
+                    bound = worst_bound(at_middle, frame[0], tables.far, limits, work.sun)
+                    if bound > limits.limit:
                         continue
-                    # which point of the eighth fits best, if any?
+                    # which place in the eighth fits best, if any?
                     points = cells.points[eighth]
                     best, least = best_point(corners, points, frame[0], tables, limits, work)
                     if least == np.inf:
@@ -479,10 +516,10 @@ def _entry(sources: int) -> Any:
                     # does it settle in this eighth?
                     start[:3], start[3:] = points[best], 0.0
                     misfit = settle(corners, start, frame, panels, limits, work)
-                    aside = np.abs(start[:3] - middle).max()
-                    if misfit > limits.settled or aside >= KEPT_PLACE:
+                    distance = np.abs(start[:3] - middle).max()
+                    if misfit > limits.settled or distance >= KEPT_PLACE:
                         continue
-                    if count == len(starts):
+                    if count == len(starts):  # no room is left: double it
                         starts = np.concatenate((starts, np.empty_like(starts)))
                     starts[count, OF_CELL], starts[count, OF_SUN] = cell, s
                     starts[count, OF_PLACE], starts[count, OF_STEP] = start[:3], start[3:]

@@ -1,4 +1,7 @@
-"""Periods seen from outside as evidence about a lander: its draws are weighed by them."""
+"""Periods seen by others (radio fading, a light curve) as evidence about a lander: the draws of its posterior are weighted by them.
+
+The method is that of :mod:`sunspin.estimate.periods`.
+"""
 
 from __future__ import annotations
 
@@ -31,12 +34,13 @@ LEVELS = (0.05, 0.5, 0.95)
 def draws_by_periods(
     vehicle: Vehicle, tree: xr.DataTree, seen: Sequence[PeriodSeen], workers: int | None = None
 ) -> xr.DataTree:
-    """Return the group `period`: draws of a posterior weighed by periods, and what these decide. The draws stay as they are.
+    """Return the group `period` of a posterior: weights of its draws given the periods `seen`. The draws stay as they are.
 
-    Variables: `log_weight` (chain, draw), `probability` (seen, reading), `solution_probability` (solution) and `rate_quantile`
-    (level) in rad/s at the first sample, the last two also as they were before.
+    Variables: `log_weight` (chain, draw); `probability` (seen, reading) that each period is of precession, spin or their sum;
+    `solution_probability` (solution) and `rate_quantile` (level), angular speed in rad/s at the first sample, and both without the
+    periods (`..._before`). The attribute `told` is 1 if the periods count: enough draws have them, and one is near.
     """
-    draws, count = group(tree, "posterior"), group(tree, "solutions").sizes["solution"]
+    draws, solutions = group(tree, "posterior"), group(tree, "solutions").sizes["solution"]
     motions = DrawnMotions.of(vehicle, tree)
     even = np.full(len(motions.rows), 1 / len(motions.rows))
     weighed = weigh_draws(seen, [periods_of(motions, period, workers) for period in seen], even)
@@ -49,14 +53,14 @@ def draws_by_periods(
         "probability": (("seen", "reading"), weighed.shares, {"units": "1"}),
     }
     for name, weight in (("", weighed.weight), ("_before", even)):
-        shares = np.array([weight[solution_id == k].sum() for k in range(count)])
+        probability = np.array([weight[solution_id == k].sum() for k in range(solutions)])
         quantiles = np.interp(LEVELS, np.cumsum(weight[order]), speed[order])
-        variables[f"solution_probability{name}"] = ("solution", shares, {"units": "1"})
+        variables[f"solution_probability{name}"] = ("solution", probability, {"units": "1"})
         variables[f"rate_quantile{name}"] = ("level", quantiles, {"units": "rad s-1"})
-    decides = weighed.effective >= LEAST_DRAWS and weighed.nearest_sigmas <= FAR_SIGMAS
+    counts = weighed.effective >= LEAST_DRAWS and weighed.nearest_sigmas <= FAR_SIGMAS
     attrs = {
         "effective_draws": weighed.effective,
-        "told": int(decides),
+        "told": int(counts),
         "nearest_sigmas": weighed.nearest_sigmas,
         "seen_s": [period.t_s for period in seen],
         "period_s": [period.period_s for period in seen],
@@ -67,13 +71,16 @@ def draws_by_periods(
 
 
 def periods_of(motions: DrawnMotions, seen: PeriodSeen, workers: int | None = None) -> np.ndarray:
-    """Return periods (n, 3) in s by :data:`ROTATIONS` of draws when a period was seen; NaN for those that could not be computed."""
-    instants = seen.t_s + np.linspace(-HALF_SPAN, HALF_SPAN, INSTANTS) * seen.period_s
-    carried = motions.at(checked_times(instants, motions.start_s), workers)
+    """Return the periods (n, 3), s, of precession, spin and their sum of n draws at the time at which a period was seen.
+
+    Rates are averaged over `HALF_SPAN` of the seen periods before and after. NaN for motions that could not be computed.
+    """
+    instants_s = seen.t_s + np.linspace(-HALF_SPAN, HALF_SPAN, INSTANTS) * seen.period_s
+    propagated = motions.at(checked_times(instants_s, motions.start_s), workers)
     bodies = motions.rows.bodies_of(motions.vehicle)
     axis, rates = own_axis(np.array(motions.vehicle.require_inertia())), []
     for k in range(INSTANTS):
-        omega, speeds = carried.omega_B[:, k], carried.wheel_speed_rad_s[:, k]
+        omega, speeds = propagated.omega_B[:, k], propagated.wheel_speed_rad_s[:, k]
         momentum = gyrostat.total_momentum(bodies, omega, speeds)
         rates.append(euler_rates(omega, momentum, axis))
     with np.errstate(divide="ignore"):

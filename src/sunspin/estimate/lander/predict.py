@@ -27,13 +27,13 @@ from sunspin.vehicle import Vehicle
 from sunspin.vehicle.response.panels import panel_power
 
 DIRECTION_ERROR = 1e-4
-"""Error of directions (rad) in runs of draws, far below the uncertainty of any posterior."""
+"""Error of directions (rad) of propagated draws, far below the uncertainty of any posterior."""
 
 RUNS_AT_ONCE = 64, 8192
-"""Draws that one thread runs together: fewest, as they fill the lanes of compiled code, and most, as memory allows."""
+"""Fewest and most draws that one thread propagates together: fewer waste the width of compiled code, more need much memory."""
 
 LONGEST_S = 7 * 86400.0
-"""Times further than this from the first sample are an error: phases are unknown long before."""
+"""Times further than this from the first sample are an error: the attitude is unknown long before."""
 
 MOST_MOTIONS = 4
 """Solutions of the largest probability whose best motion is computed."""
@@ -45,10 +45,11 @@ BEST_RTOL = 1e-9
 """Relative error of a best motion."""
 
 
-class Carried(NamedTuple):
-    """Motions (n) at times (n_t), NaN if they could not be computed; each field is a variable of the predictions.
+class PredictedStates(NamedTuple):
+    """States of n motions at n_t times, NaN for motions that could not be computed; body axes.
 
-    `omega_B` (n, n_t, 3) in rad/s, `sun_B` (n, n_t, 3), `wheel_speed_rad_s` (n, n_t, n_wheel).
+    `omega_B` (n, n_t, 3) in rad/s, `sun_B` (n, n_t, 3), `wheel_speed_rad_s` (n, n_t, n_wheel). The names are those of the variables
+    of predictions, and of :class:`batch.Rows` and :class:`batch.Motion`.
     """
 
     omega_B: np.ndarray
@@ -58,7 +59,7 @@ class Carried(NamedTuple):
 
 @dataclass(frozen=True)
 class DrawnMotions:
-    """Draws (n) of a posterior as motions: `rows` are their states at `start_s` (s from the epoch), each with its own body."""
+    """The n draws of a posterior as motions: `rows` are their states at `start_s` (s from the epoch), each with its own body."""
 
     vehicle: Vehicle
     rows: batch.Rows
@@ -67,7 +68,7 @@ class DrawnMotions:
 
     @classmethod
     def of(cls, vehicle: Vehicle, tree: xr.DataTree) -> DrawnMotions:
-        """Return the draws of a posterior at its first sample; `vehicle`: the one that it was made with."""
+        """Return the draws of a posterior at its first sample; `vehicle` is the one that it was made with."""
         draws, mode = group(tree, "posterior"), json.loads(tree.attrs["wheel_mode"])
         bodies = _bodies_of(vehicle, draws)
         count = draws.sizes["chain"] * draws.sizes["draw"]
@@ -77,22 +78,23 @@ class DrawnMotions:
         mode = mode if isinstance(mode, str) else tuple(mode)
         return cls(vehicle, rows, float(tree.attrs["t_first_s"]), mode)
 
-    def at(self, times_s: npt.ArrayLike, workers: int | None = None) -> Carried:
-        """Return the motions at times (n_t) in s from the epoch, those before the start backward.
+    def at(self, times_s: npt.ArrayLike, workers: int | None = None) -> PredictedStates:
+        """Return the states at times (n_t) in s from the epoch; times before the start are reached backward in time.
 
         Wheels run down, stop and stay at rest on the way, and constant torques act all the time. `workers`: threads, by default one
         per core; the result does not depend on it.
         """
         after_s = np.asarray(times_s, dtype=np.float64) - self.start_s
-        # at the start itself the motions are known
-        starts = (getattr(self.rows, name) for name in Carried._fields)
-        carried = Carried(*(np.repeat(value[:, None], len(after_s), axis=1) for value in starts))
-        pushed = self.rows.bodies_of(self.vehicle).steady_N_m.any()
-        acting = Acting((Steady(),)) if pushed else NOTHING
+        # the states at the start, which stay for times equal to the start
+        names = PredictedStates._fields
+        starts = (getattr(self.rows, name) for name in names)
+        states = PredictedStates(*(np.repeat(x[:, None], len(after_s), axis=1) for x in starts))
+        with_torque = self.rows.bodies_of(self.vehicle).steady_N_m.any()
+        acting = Acting((Steady(),)) if with_torque else NOTHING
 
         def run(ends_s: np.ndarray, index: np.ndarray) -> list[np.ndarray]:
-            """Return each quantity of some motions at times after the start, NaN for those that could not be computed."""
-            ran = batch.run(
+            """Return each quantity of the motions `index` at times from the start, NaN for those that could not be computed."""
+            motion = batch.run(
                 self.vehicle,
                 self.rows.take(index),
                 ends_s,
@@ -100,28 +102,28 @@ class DrawnMotions:
                 error=DIRECTION_ERROR,
                 acting=acting,
             )
-            fine = (ran.outcome == batch.Outcome.FINE)[:, None, None]
-            return [np.where(fine, getattr(ran, name), np.nan) for name in Carried._fields]
+            computed = (motion.outcome == batch.Outcome.FINE)[:, None, None]
+            return [np.where(computed, getattr(motion, name), np.nan) for name in names]
 
         count, workers = len(self.rows), worker_count(workers)
         size = int(np.clip(-(-count // workers), *RUNS_AT_ONCE))
         pieces = [np.arange(k, min(k + size, count)) for k in range(0, count, size)]
         for side in (after_s < 0, after_s > 0):
             if side.any():
-                # each time once, in the order in which a run comes to them
-                distance_s, which = np.unique(np.abs(after_s[side]), return_inverse=True)
+                # each time once, by its distance from the start; `inverse` leads from these back to all times
+                distance_s, inverse = np.unique(np.abs(after_s[side]), return_inverse=True)
                 ends_s = np.copysign(distance_s, after_s[side][0])
                 with ThreadPoolExecutor(workers) as pool:
                     runs = list(pool.map(partial(run, ends_s), pieces))
-                for values, parts in zip(carried, zip(*runs, strict=True), strict=True):
-                    values[:, side] = np.concatenate(parts)[:, which]
-        return carried
+                for values, parts in zip(states, zip(*runs, strict=True), strict=True):
+                    values[:, side] = np.concatenate(parts)[:, inverse]
+        return states
 
 
 def _bodies_of(vehicle: Vehicle, draws: xr.Dataset) -> Bodies:
-    """Return inertia, wheels, friction and constant torque of each draw; what the posterior took as known is the vehicle's.
+    """Return inertia, wheels, friction and constant torque of each draw; numbers that were no unknowns are those of the vehicle.
 
-    Raise InputError if names of wheels, or centres of the inertia's priors, are not those of the vehicle.
+    Raise InputError if the names of wheels, or the centres of the inertia's priors, are not those of the vehicle.
     """
     mean_moment = np.trace(vehicle.require_inertia()) / 3
     bodies = Bodies.of(vehicle, draws.sizes["chain"] * draws.sizes["draw"])
@@ -144,7 +146,7 @@ def _bodies_of(vehicle: Vehicle, draws: xr.Dataset) -> Bodies:
         for i, wheel in enumerate(vehicle.wheels):
             if (name := wheel_unknown(f"log_{kind}", vehicle, wheel)) in draws:
                 wheel_numbers[field_name][:, i] *= np.exp(draws[name].values.ravel())
-    # the draws have torques over the mean moment of inertia, rad/s2
+    # the draws hold torques divided by the mean moment of inertia, rad/s2
     steady = mean_moment * draws["steady_torque"].values.reshape(-1, 2, 3)
     return replace(bodies, inertia_kg_m2=tensor, steady_N_m=steady, **wheel_numbers)
 
@@ -182,32 +184,32 @@ def predict(
     return predictions(motions, motions.at(times, workers), times).assign_attrs(attributes_of(tree))
 
 
-def predictions(motions: DrawnMotions, carried: Carried, times_s: np.ndarray) -> xr.Dataset:
-    """Return the Dataset of motions carried to times (n_t) in s from the epoch, with what :func:`predict` derives of them.
+def predictions(motions: DrawnMotions, states: PredictedStates, times_s: np.ndarray) -> xr.Dataset:
+    """Return the Dataset of :func:`predict` for the `states` of motions at times (n_t) in s from the epoch.
 
     H in the result is the angular momentum of body and wheels.
     """
-    omega, speeds = carried.omega_B, carried.wheel_speed_rad_s
+    omega, speeds = states.omega_B, states.wheel_speed_rad_s
     bodies = motions.rows.bodies_of(motions.vehicle)
     momentum = np.stack(
         [gyrostat.total_momentum(bodies, omega[:, k], speeds[:, k]) for k in range(omega.shape[1])],
         axis=1,
     )
-    to_momentum = momentum[..., 2] / np.linalg.norm(momentum, axis=-1)
+    cosine_to_H = momentum[..., 2] / np.linalg.norm(momentum, axis=-1)
     rate = np.linalg.norm(omega, axis=-1)
 
-    def variable(values: np.ndarray, units: str, about: str, *dims: str) -> Any:
+    def variable(values: np.ndarray, units: str, long_name: str, *dims: str) -> Any:
         """Return a variable over the one chain, draws, times and further `dims`."""
-        about_it = {"units": units, "long_name": about}
-        return (*EACH, "predicted_s", *dims), values[None], about_it
+        attrs = {"units": units, "long_name": long_name}
+        return (*EACH, "predicted_s", *dims), values[None], attrs
 
     z_to_sun, z_to_momentum = (
-        np.arccos(np.clip(cosine, -1.0, 1.0)) for cosine in (carried.sun_B[..., 2], to_momentum)
+        np.arccos(np.clip(cosine, -1.0, 1.0)) for cosine in (states.sun_B[..., 2], cosine_to_H)
     )
     variables = {
         "omega_B": variable(omega, "rad s-1", "body rate", "axis"),
         "rate": variable(rate, "rad s-1", "angular speed"),
-        "sun_B": variable(carried.sun_B, "1", "direction to the Sun", "axis"),
+        "sun_B": variable(states.sun_B, "1", "direction to the Sun", "axis"),
         "z_to_sun": variable(z_to_sun, "rad", "angle between z and the Sun"),
         "z_to_momentum": variable(z_to_momentum, "rad", "angle between z and H"),
         "wheel_speed_rad_s": variable(speeds, "rad s-1", "speed of each wheel", "wheel"),
@@ -227,17 +229,19 @@ def predictions(motions: DrawnMotions, carried: Carried, times_s: np.ndarray) ->
 
 
 def attributes_of(tree: xr.DataTree) -> dict[str, Any]:
-    """Return the attributes of predictions: provenance, and of which posterior they are."""
+    """Return the attributes of predictions: their provenance, and the vehicle and verdict of the posterior."""
     names = ("vehicle", "changes", "verdict_word")
     of_posterior = {name: tree.attrs[name] for name in names if name in tree.attrs}
     return provenance("predictions", tree, **of_posterior)
 
 
 def checked_times(times_s: npt.ArrayLike, first_s: float) -> np.ndarray:
-    """Return times (n_t) in order, each once; refuse none, those that are no numbers, and those more than a week from the first."""
+    """Return times (n_t), s from the epoch, in increasing order and each once.
+
+    InputError if there are none, if some are not finite, or if some are more than a week from the first sample at `first_s`.
+    """
     times = np.unique(np.asarray(times_s, dtype=np.float64))
-    fine = times.size and np.isfinite(times).all() and np.abs(times - first_s).max() <= LONGEST_S
-    if not fine:
+    if not (times.size and np.isfinite(times).all() and np.abs(times - first_s).max() <= LONGEST_S):
         raise InputError(
             "times to predict must be numbers, at most a week from the first sample",
             got=times.tolist(),
@@ -247,7 +251,7 @@ def checked_times(times_s: npt.ArrayLike, first_s: float) -> np.ndarray:
 
 
 def best_motions(vehicle: Vehicle, tree: xr.DataTree) -> list[xr.Dataset]:
-    """Return the likeliest draw of each of the most probable solutions as a trajectory, from the first sample to the last.
+    """Return trajectories from the first sample to the last: the likeliest draw of each of the most probable solutions.
 
     Parameters
     ----------
@@ -272,7 +276,7 @@ def best_motions(vehicle: Vehicle, tree: xr.DataTree) -> list[xr.Dataset]:
     probability = group(tree, "solutions")["probability"].values
     solution = draws["solution_id"].values.ravel()
     likelihood = draws["log_likelihood_sum"].values.ravel()
-    of_tree = {name: tree.attrs[name] for name in ("epoch_utc", "synthetic") if name in tree.attrs}
+    shared = {name: tree.attrs[name] for name in ("epoch_utc", "synthetic") if name in tree.attrs}
     runs = []
     for number in np.argsort(-probability, kind="stable")[:MOST_MOTIONS]:
         if not (solution == number).any():
@@ -280,26 +284,26 @@ def best_motions(vehicle: Vehicle, tree: xr.DataTree) -> list[xr.Dataset]:
         draw = int(np.argmax(np.where(solution == number, likelihood, -np.inf)))
         run = _trajectory(motions, draw, float(tree.attrs["t_last_s"]))
         signal = panel_power(vehicle, run["sun_B"].values)
-        share = f"holds {probability[number]:.0%} of the probability"
+        holds = f"holds {probability[number]:.0%} of the probability"
         attrs = {
             "title": f"Solution {number + 1}",
-            "about": f"The likeliest draw of solution {number + 1}, which {share}",
+            "about": f"The likeliest draw of solution {number + 1}, which {holds}",
             "solution": int(number) + 1,
             "probability": float(probability[number]),
         }
         run = run.assign(panel_signal=(("time", "panel"), signal, {"units": "1"}))
-        runs.append(run.assign_attrs(attrs | of_tree))
+        runs.append(run.assign_attrs(attrs | shared))
     return runs
 
 
 def _trajectory(motions: DrawnMotions, draw: int, end_s: float) -> xr.Dataset:
-    """Return one draw from its start to `end_s` (s from the epoch) at instants close enough to be looked at."""
+    """Return the motion of one draw from its start to `end_s` (s from the epoch), at instants about `TURN_RAD` apart."""
     rows, duration_s = motions.rows, end_s - motions.start_s
     bodies = rows.bodies_of(motions.vehicle)
     own, steady = bodies.vehicle(motions.vehicle, draw), bodies.steady_N_m[draw]
 
     def at_instants(count: int) -> xr.Dataset:
-        """Return the motion at so many even instants."""
+        """Return the motion at `count` evenly spaced instants."""
         return propagate(
             own,
             rows.omega_B[draw],
@@ -313,5 +317,6 @@ def _trajectory(motions: DrawnMotions, draw: int, end_s: float) -> xr.Dataset:
 
     fastest = np.linalg.norm(at_instants(FEWEST_INSTANTS)["omega_B"].values, axis=1).max()
     run = at_instants(int(np.clip(duration_s * fastest / TURN_RAD, FEWEST_INSTANTS, MOST_INSTANTS)))
-    in_time = {"time": run["time"] + motions.start_s}
-    return run.assign_coords(in_time).assign(event_time_s=run["event_time_s"] + motions.start_s)
+    # times from the epoch instead of from the start
+    from_epoch = {"time": run["time"] + motions.start_s}
+    return run.assign_coords(from_epoch).assign(event_time_s=run["event_time_s"] + motions.start_s)

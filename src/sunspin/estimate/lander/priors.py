@@ -1,4 +1,4 @@
-"""Priors of a lander: its unknowns, the sigma of each, and its source."""
+"""Priors of a lander: its unknowns, the sigma of each, and the source of that sigma."""
 
 from __future__ import annotations
 
@@ -26,25 +26,15 @@ from sunspin.estimate.settings import (
     WHEEL_SPEED,
 )
 from sunspin.estimate.terms.powers import PanelPowers, panel_turns, tilt_unknowns
-from sunspin.estimate.terms.torques import WORDS, ConstantTorque, Frame
+from sunspin.estimate.terms.torques import WORDS, ConstantTorque
 from sunspin.telemetry.assess import Assessment
 from sunspin.vehicle import Vehicle, Wheel
 from sunspin.vehicle.response.panels import misalignment_sigma
 
-KEYS = {
-    "max_rate_rad_s",
-    "steady_torque",
-    "inertia",
-    "wheel_speed",
-    "wheel_inertia",
-    "friction",
-    "gain",
-    "noise",
-    "scale",
-    "time_s",
-    "tilt",
-    "tilt_common",
-}
+KEYS = set(
+    "max_rate_rad_s steady_torque inertia wheel_speed wheel_inertia friction gain noise scale "
+    "time_s tilt tilt_common".split()
+)
 """Priors that a caller may give."""
 
 ASSUMED, STATED, GIVEN = "assumed", "vehicle file", "given"
@@ -53,21 +43,24 @@ ASSUMED, STATED, GIVEN = "assumed", "vehicle file", "given"
 
 @dataclass
 class Sources:
-    """Sigmas of a caller's priors, else of the vehicle file, else assumed.
+    """Choice of sigmas: those of the caller's `priors` first, then those of the vehicle file, then assumed ones.
 
-    `said`: value and source of each in words, added when it is read.
+    `in_words`: value and source of each sigma by its key, added when the sigma is read.
     """
 
     priors: Mapping[str, Any]
-    said: dict[str, str] = field(default_factory=dict)
+    in_words: dict[str, str] = field(default_factory=dict)
 
     def sigma(self, key: str, stated: float | None, assumed: float, unit: str = "") -> float:
-        """Return the sigma of a number, relative unless it has a unit; zero if the number is known."""
+        """Return the sigma of the prior `key`, relative unless it has a unit; zero if the number is known.
+
+        `stated`: sigma of the vehicle file, None if it states none.
+        """
         value, source = (assumed, ASSUMED) if stated is None else (stated, STATED)
         if key in self.priors:
             value, source = self.priors[key], GIVEN
         require_not_negative(value, f"the prior sigma of {key} must be zero (known) or positive")
-        self.said[key] = f"{value:g}{unit} ({source})"
+        self.in_words[key] = f"{value:g}{unit} ({source})"
         return float(value)
 
 
@@ -77,11 +70,12 @@ def with_priors(
     priors: Mapping[str, Any] | None,
     wheel_mode: Any = "coast",
 ) -> tuple[LanderModel, dict[str, str]]:
-    """Return the model of a lander with all its unknowns, and size and source of each prior in words.
+    """Return the model of a lander with all its unknowns, and the size and source of each prior in words, by key.
 
-    `priors` as in :func:`sunspin.posterior`. The reference of the model is the first sample; wheels turn as measured then.
+    `priors` and `wheel_mode` as in :func:`sunspin.posterior`. The reference of the model is the first sample, at which wheels have
+    their measured speeds.
     """
-    vehicle = _as_measured(assessment, window.start_s)
+    vehicle = _with_measured_speeds(assessment, window.start_s)
     vehicle.require_inertia()
     unknown = sorted(set(priors or {}) - KEYS)
     if unknown:
@@ -92,8 +86,8 @@ def with_priors(
         )
     sources = Sources(priors or {})
     mode = wheel_mode if isinstance(wheel_mode, str) else tuple(wheel_mode)
-    of_panels = _of_panels(vehicle, window, sources)
-    of_motion = (*_of_wheels(vehicle, mode, sources), *_of_inertia(vehicle, sources))
+    panels = _panels_with_unknowns(vehicle, window, sources)
+    of_motion = (*_wheel_unknowns(vehicle, mode, sources), *_inertia_unknowns(vehicle, sources))
     limit = (
         sources.priors.get("max_rate_rad_s")
         or vehicle.sensors.disturbance.max_rate_rad_s
@@ -101,32 +95,30 @@ def with_priors(
     )
     if not (np.isfinite(limit) and limit > 0):
         raise InputError("max_rate_rad_s must be positive", got=limit)
-    sources.said["rate"] = f"uniform in a ball of {limit:g} rad/s"
-    largest_turn_deg = largest_torque_deg(sources.priors)
+    sources.in_words["rate"] = f"uniform in a ball of {limit:g} rad/s"
     # only in words here: `constant_torques` makes the models of a torque
+    most_deg = largest_torque_deg(sources.priors)
     source = GIVEN if "steady_torque" in sources.priors else ASSUMED
-    sources.said["steady_torque"] = (
-        f"turns by up to {largest_turn_deg:g} deg ({source})"
-        if largest_turn_deg
-        else f"none ({source})"
-    )
+    size = f"turns by up to {most_deg:g} deg" if most_deg else "none"
+    sources.in_words["steady_torque"] = f"{size} ({source})"
     model = LanderModel(
         vehicle,
-        with_unknowns(window.obs, of_panels),
+        with_unknowns(window.obs, panels),
         tuple(x for x in of_motion if x.sigma > 0),  # a known number is no unknown
         float(limit),
         mode,
     )
     if model.log_possible:
         share = np.exp(model.log_possible)
-        sources.said["inertia"] += f", truncated to bodies that can exist ({share:.2g} of it)"
-    return model, sources.said
+        sources.in_words["inertia"] += f", truncated to bodies that can exist ({share:.2g} of it)"
+    return model, sources.in_words
 
 
 def constant_torques(model: LanderModel, priors: Mapping[str, Any] | None) -> list[LanderModel]:
-    """Return the model with a constant torque in body axes, and in space, of a size unknown to a power of ten.
+    """Return the alternative models with an unmodelled constant torque: one in body axes, and one in space.
 
-    It turns the body over the samples by the caller's largest angle at most; there is none if that is zero.
+    Its size is unknown by powers of ten: several angles are equally probable by which the torque alone would rotate the body over
+    the samples. The largest one is the prior `steady_torque`; if it is zero there are no such models.
     """
     most_deg = largest_torque_deg(priors or {})
     if not most_deg:
@@ -134,25 +126,21 @@ def constant_torques(model: LanderModel, priors: Mapping[str, Any] | None) -> li
     low, high, count = TORQUE_TURNS_DEG
     sizes = np.geomspace(low, high, count)
     allowed = sizes[sizes <= most_deg * (1 + 1e-9)]
-    turns = np.radians(allowed if len(allowed) else [most_deg])
+    angles = np.radians(allowed if len(allowed) else [most_deg])
     duration = float(np.ptp(model.obs.t_s))
     inertia = np.array(model.vehicle.require_inertia())
-
-    def under(frame: Frame) -> LanderModel:
-        still = np.zeros((len(model.obs), 3))
-        torque = ConstantTorque.turning(frame, turns.tolist(), duration, inertia, still)
-        return replace(
-            model,
-            of_motion=(*model.of_motion, *torque.unknowns()),
-            frame=frame,
-            what=f"a steady torque in {WORDS[frame]}",
-        )
-
-    return [under(frame) for frame in WORDS]
+    still = np.zeros((len(model.obs), 3))
+    models = []
+    for frame in WORDS:
+        torque = ConstantTorque.turning(frame, angles.tolist(), duration, inertia, still)
+        unknowns, what = torque.unknowns(), f"a steady torque in {WORDS[frame]}"
+        of_motion = (*model.of_motion, *unknowns)
+        models.append(replace(model, of_motion=of_motion, frame=frame, what=what))
+    return models
 
 
 def largest_torque_deg(priors: Mapping[str, Any]) -> float:
-    """Return by how much (deg) a constant torque may turn the body over the samples."""
+    """Return the largest angle (deg) by which a constant torque alone may rotate the body over the samples: a prior."""
     most = priors.get("steady_torque", TORQUE_TURNS_DEG[1])
     require_not_negative(
         most,
@@ -161,17 +149,17 @@ def largest_torque_deg(priors: Mapping[str, Any]) -> float:
     return float(most)
 
 
-def require_not_negative(value: Any, said: str) -> None:
-    """Raise InputError with the words `said` unless the value is a finite number that is not negative."""
-    number = isinstance(value, int | float) and not isinstance(value, bool)
-    if not (number and np.isfinite(value) and value >= 0):
-        raise InputError(said, got=value)
+def require_not_negative(value: Any, message: str) -> None:
+    """Raise InputError with a message unless the value is a finite number that is not negative."""
+    is_number = isinstance(value, int | float) and not isinstance(value, bool)
+    if not (is_number and np.isfinite(value) and value >= 0):
+        raise InputError(message, got=value)
 
 
-def _as_measured(assessment: Assessment, at_s: float) -> Vehicle:
+def _with_measured_speeds(assessment: Assessment, at_s: float) -> Vehicle:
     """Return the vehicle with the wheel speeds of the telemetry at a time (s from the epoch), if there are any.
 
-    Between readings the speed is interpolated linearly, before the first and after the last it is that of the nearest. A wheel that
+    Between readings the speed is interpolated linearly; before the first and after the last it is that of the nearest. A wheel that
     was never read keeps its nominal speed.
     """
     vehicle, telemetry = assessment.vehicle, assessment.telemetry
@@ -188,21 +176,21 @@ def _as_measured(assessment: Assessment, at_s: float) -> Vehicle:
 
 
 def _stated(vehicle: Vehicle, key: str, value: float) -> float | None:
-    """Return the sigma that the vehicle file states of a number, relative to its value; None if it states none."""
+    """Return the sigma that the vehicle file states for `key`, divided by the value of that key; None if it states none."""
     fact = vehicle.facts.get(key)
     if fact is None or fact.sigma is None or not value:
         return None
     return float(np.asarray(fact.sigma)) / value
 
 
-def _of_panels(vehicle: Vehicle, window: Window, sources: Sources) -> PanelPowers:
-    """Return the panel term with its unknowns: log brightness ("scale"), log noise, log gains, and tilts.
+def _panels_with_unknowns(vehicle: Vehicle, window: Window, sources: Sources) -> PanelPowers:
+    """Return the panel term with its unknowns: log brightness (prior `scale`), log noise, log gains, and tilts of panels.
 
-    A sigma of zero means known: that unknown is left out. Throttled panels have a free factor in each sample in place of a scale.
+    An unknown with a sigma of zero is known and is left out. Throttled panels have a free factor in each sample instead of a scale.
     """
     panels = next(term for term in window.obs.terms if isinstance(term, PanelPowers))
     if vehicle.throttled:
-        sources.said["scale"] = "free in each sample (throttled)"
+        sources.in_words["scale"] = "free in each sample (throttled)"
         sigma_scale = 0.0
     else:
         assumed_scale = BRIGHTNESS_FREE if vehicle.gain_unit is None else BRIGHTNESS_KNOWN
@@ -218,7 +206,7 @@ def _of_panels(vehicle: Vehicle, window: Window, sources: Sources) -> PanelPower
             for j, name in enumerate(vehicle.input_names)
         ),
     )
-    own = (*(x for x in unknowns if x.sigma > 0), *_tilts(vehicle, sources))
+    own = (*(x for x in unknowns if x.sigma > 0), *_tilt_unknowns(vehicle, sources))
     time_s = sources.sigma("time_s", None, 0.0, " s")
     if time_s and vehicle.throttled:
         what = "the posterior does not know errors of times if panels are throttled"
@@ -226,12 +214,16 @@ def _of_panels(vehicle: Vehicle, window: Window, sources: Sources) -> PanelPower
     return replace(panels, own=own, turns=panel_turns(vehicle, own), time_s=time_s)
 
 
-def _tilts(vehicle: Vehicle, sources: Sources) -> tuple[Unknown, ...]:
-    """Return the tilts of panels that the vehicle file or the caller allows for."""
+def _tilt_unknowns(vehicle: Vehicle, sources: Sources) -> tuple[Unknown, ...]:
+    """Return the unknown misalignments of panels for which the vehicle file or the caller gives a sigma (rad).
+
+    `tilt` is that of each panel by itself, `tilt_common` that of all panels together. InputError if panels share inputs or are
+    throttled: their misalignments are not modelled.
+    """
     for key in ("tilt", "tilt_common"):
-        given = sources.priors.get(key, 0.0)
+        sigma = sources.priors.get(key, 0.0)
         require_not_negative(
-            given, f"the prior sigma of {key} must be zero (known) or positive, in rad"
+            sigma, f"the prior sigma of {key} must be zero (known) or positive, in rad"
         )
     own, common = misalignment_sigma(vehicle)
     if "tilt" in sources.priors:
@@ -239,7 +231,7 @@ def _tilts(vehicle: Vehicle, sources: Sources) -> tuple[Unknown, ...]:
     common = float(sources.priors.get("tilt_common", common))
     for key, size in (("tilt", float(own.max(initial=0.0))), ("tilt_common", common)):
         source = GIVEN if key in sources.priors else STATED if size else ASSUMED
-        sources.said[key] = f"{np.degrees(size):.3g} deg ({source})"
+        sources.in_words[key] = f"{np.degrees(size):.3g} deg ({source})"
     if (vehicle.channels or vehicle.throttled) and (own.any() or common):
         what = "the posterior does not know turns of panels that share an input or are throttled"
         got = f"channel {vehicle.channels[0].name!r}" if vehicle.channels else "throttled = true"
@@ -249,15 +241,15 @@ def _tilts(vehicle: Vehicle, sources: Sources) -> tuple[Unknown, ...]:
 
 
 def wheel_unknown(name: str, vehicle: Vehicle, wheel: Wheel) -> str:
-    """Return the name of an unknown of a wheel: that of the wheel is added if there are several."""
+    """Return the full name of a wheel's unknown: if there are several wheels, the name of the wheel is added."""
     return name if len(vehicle.wheels) == 1 else f"{name}_{wheel.name}"
 
 
-def _of_wheels(vehicle: Vehicle, mode: Any, sources: Sources) -> list[Unknown]:
-    """Return speed, inertia and friction of each wheel.
+def _wheel_unknowns(vehicle: Vehicle, mode: Any, sources: Sources) -> list[Unknown]:
+    """Return the unknowns of each wheel: speed (rad/s), and the logarithms of inertia and of both kinds of friction.
 
     In the mode "hold" a motor keeps the speed, which is then known unless the vehicle file states a sigma, and friction does not
-    act. Inertia and friction are unknown by their logarithms.
+    act. Sigmas may be zero.
     """
     unknowns = []
     commands = batch.one_command(vehicle, mode)
@@ -283,16 +275,17 @@ def _of_wheels(vehicle: Vehicle, mode: Any, sources: Sources) -> list[Unknown]:
     return unknowns
 
 
-def _of_inertia(vehicle: Vehicle, sources: Sources) -> list[Unknown]:
-    """Return the six elements of the inertia: moments with one relative sigma, or elements with those that the vehicle file states.
+def _inertia_unknowns(vehicle: Vehicle, sources: Sources) -> list[Unknown]:
+    """Return the six elements of the inertia (kg m2) as unknowns.
 
-    An element without a sigma has zero. With the probability `LOOSER_CHANCE` all sigmas are `LOOSER_INERTIA` times larger: then the
-    file's inertia is wrong.
+    Their sigmas are those of the vehicle file, if it states any. Otherwise the three moments have one relative sigma, and the
+    products of inertia have none. With the probability `LOOSER_CHANCE` all sigmas are `LOOSER_INERTIA` times larger, because the
+    inertia in the file is wrong.
     """
     tensor = np.array(vehicle.require_inertia())
     fact = vehicle.facts.get("body.inertia_kg_m2")
     if fact is not None and fact.sigma is not None and "inertia" not in sources.priors:
-        sources.said["inertia"] = STATED
+        sources.in_words["inertia"] = STATED
         sigma = np.broadcast_to(np.asarray(fact.sigma, dtype=np.float64), (3, 3))
     else:
         sigma = np.diag(sources.sigma("inertia", None, INERTIA) * np.diag(tensor))

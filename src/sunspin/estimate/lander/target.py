@@ -1,4 +1,9 @@
-"""The posterior of a lander under one model, as :mod:`sunspin.estimate.lander.sample` asks for it."""
+"""The posterior density of a lander's motions under one model, as sampling along curved ridges needs it
+(:mod:`sunspin.estimate.lander.ridges`, :mod:`sunspin.estimate.lander.sample`).
+
+K motions are given by rate and direction to the Sun at the reference and unknowns u (K, m) in sigmas. Their `track` (K, n, w) holds
+the direction to the Sun (body axes) at the n samples, and rates (rad/s) if some sensor needs them (:meth:`FitProblem.track`).
+"""
 
 from __future__ import annotations
 
@@ -23,13 +28,13 @@ from sunspin.solve.linear import DenseSystem
 
 LEAST_TURN_RAD = 1e-3
 """Derivatives are not corrected by steps that rotate the body by less than this within the window: the change would be comparable
-with the error of runs, 1e-5 rad."""
+with the error of integration, 1e-5 rad."""
 
 
 class MotionSlopes(NamedTuple):
-    """K motions, their `track` (K, ...), and its derivatives `track_slopes` (K, 5, ...) by rate and direction.
+    """K motions with `track` (K, n, w), and the derivatives `track_slopes` (K, 5, n, w) of that by rate and direction.
 
-    Least squares at motions near by begins with these derivatives.
+    Least squares at motions near by begins with these derivatives, to save runs.
     """
 
     omega: np.ndarray
@@ -41,16 +46,13 @@ class MotionSlopes(NamedTuple):
 
 @dataclass(frozen=True)
 class LanderTarget:
-    """Posterior of the motions of a lander under one model: K motions are evaluated at once.
-
-    The `track` (K, n, w) of motions: directions to the Sun at the samples, and rates if they are needed (:meth:`FitProblem.track`).
-    """
+    """Posterior of the motions of a lander under one model: K motions are evaluated at once."""
 
     model: LanderModel
 
     @cached_property
     def reading_unknowns(self) -> np.ndarray:
-        """Return the indices (s) of unknowns that change readings, but not the motion: brightness, gains, tilts; not the noise."""
+        """Return the indices (s) of unknowns that change readings but not the motion: brightness, gains, tilts; not the noise."""
         own = np.arange(len(self.model.of_motion), len(self.model.unknowns))
         return np.setdiff1d(own, self.model.indices("noise"))
 
@@ -61,7 +63,7 @@ class LanderTarget:
 
     @cached_property
     def _problem(self) -> FitProblem:
-        """Return the fit of rate, direction and reading unknowns."""
+        """Return the least-squares problem in which rate, direction and reading unknowns are free."""
         free = np.zeros(len(self.model.unknowns), dtype=bool)
         free[self.reading_unknowns] = True
         return FitProblem(self.model, free)
@@ -69,65 +71,72 @@ class LanderTarget:
     def linearised(
         self, motions: LanderMotions, slopes: MotionSlopes | None = None, noise_factor: float = 1.0
     ) -> DenseSystem:
-        """Return the normal equations of K motions under `noise_factor` times the noise, with the :class:`MotionSlopes` there.
+        """Return the normal equations of K motions, with `noise_factor` times the noise; `extras` are their :class:`MotionSlopes`.
 
-        Their coordinates are the five of rate and direction, then the s reading unknowns. With `slopes` of motions near by no
-        further runs give derivatives. The given ones are corrected by the change that the step from there has made (Broyden), if it
-        is a step in rate and direction alone.
+        The coordinates are the five of rate and direction, then the s reading unknowns. Derivatives of the track come from
+        differences of runs or, without further runs, from the `slopes` of motions near by. These are then corrected by the change
+        of the track over the step from there (Broyden's method), if the step is in rate and direction alone.
         """
         problem = self._problem
+        state = motions.omega, motions.sun, motions.u
         if slopes is None:
             system = problem.linearised(motions, noise_factor)
         else:
             before = LanderMotions(slopes.omega, slopes.sun, slopes.u)
             step, moving = motions.from_centre(before)[:, :STATE_SIZE], self.motion_unknowns
-            # if unknowns of the motion differ too, the change is not by the step alone
-            alike = np.all(motions.u[:, moving] == slopes.u[:, moving], axis=1)
-            learnt = alike & (rotation_by(step, self.model.reach_s) > LEAST_TURN_RAD)
-            track_slopes, step = in_tangents_at(
-                motions.sun, slopes.sun, slopes.track_slopes, np.where(learnt[:, None], step, 0.0)
-            )
-            state = motions.omega, motions.sun, motions.u
-            state = FitState(*state, track_slopes, slopes.track, step)
-            system = problem.linearised_after(state, noise_factor)
+            # if unknowns of the motion differ too, the track does not change by the step alone
+            same_body = np.all(motions.u[:, moving] == slopes.u[:, moving], axis=1)
+            correct = same_body & (rotation_by(step, self.model.reach_s) > LEAST_TURN_RAD)
+            # a step of zero corrects nothing
+            step = np.where(correct[:, None], step, 0.0)
+            track_slopes, step = in_tangents_at(motions.sun, slopes.sun, slopes.track_slopes, step)
+            point = FitState(*state, track_slopes, slopes.track, step)
+            system = problem.linearised_after(point, noise_factor)
         linear = system.extras
-        at = MotionSlopes(motions.omega, motions.sun, motions.u, linear.track_slopes, linear.track)
-        return DenseSystem(system.cost, system.matrix, system.slope, extras=at)
+        extras = MotionSlopes(*state, linear.track_slopes, linear.track)
+        return DenseSystem(system.cost, system.matrix, system.slope, extras=extras)
 
     def track(self, motions: LanderMotions) -> np.ndarray:
-        """Return the track (K, n, w) of motions, not a number for those that could not be computed."""
+        """Return the track (K, n, w) of motions, NaN for those that could not be computed."""
         return self._problem.track(motions, SEARCH_ERROR)
 
     def reading_slopes(self, track: np.ndarray, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return slope (K, s) and curvature (K, s, s) of the log likelihood in the reading unknowns."""
-        problem, still = self._problem, np.zeros((len(u), 0, *track.shape[1:]))
-        # differences of readings do not use rate and direction at the reference
+        """Return the gradient (K, s) of the log likelihood by the reading unknowns, and minus its second derivatives (K, s, s).
+
+        The second derivatives are those of Gauss-Newton, J'WJ.
+        """
+        # without derivatives of the track, those of the differences are by the reading unknowns alone
+        problem, no_slopes = self._problem, np.zeros((len(u), 0, *track.shape[1:]))
+        # the differences do not use rate and direction at the reference
         unused = np.zeros((len(u), 3))
-        linear = problem.linear_readings(LanderMotions(unused, unused, u), track, still)
+        linear = problem.linear_readings(LanderMotions(unused, unused, u), track, no_slopes)
         _, weight = problem.weigh(linear.residuals, u, 1.0)
         curvature, gradient = normal_equations(linear.residuals, linear.jacobian, weight)
         return -gradient, curvature
 
     def log_likelihood(self, track: np.ndarray, u: np.ndarray) -> np.ndarray:
-        """Return the log likelihood (K) of all readings."""
+        """Return the log likelihood (K) of all readings, given the track (K, n, w) and the unknowns u (K, m)."""
         return self.model.log_likelihood(states_of(track), u)
 
     def log_replicated(
         self, track: np.ndarray, u: np.ndarray, rng: np.random.Generator
     ) -> np.ndarray:
-        """Return the log likelihood (K) of readings simulated from the motions, each set under its own motion."""
+        """Return the log likelihoods (K) of readings that are simulated with each motion, under that motion.
+
+        Compared with :meth:`log_likelihood` they show whether the measured readings are as probable as simulated ones.
+        """
         model, states = self.model, states_of(track)
-        of_panels = u[:, model.of_panels]
-        simulated = model.panels.replicated(states, of_panels, rng)
-        total = simulated.log_density(states, of_panels)
-        for term in model.given:
-            off = rng.standard_normal((len(u), int(term.explained)))
-            total = total - 0.5 * np.sum(off**2, axis=1)
+        u_panels = u[:, model.of_panels]
+        simulated = model.panels.replicated(states, u_panels, rng)
+        total = simulated.log_density(states, u_panels)
+        for term in model.given:  # other observations have normal errors
+            errors = rng.standard_normal((len(u), int(term.explained)))
+            total = total - 0.5 * np.sum(errors**2, axis=1)
         return total
 
     def outlier_probability(self, motions: LanderMotions) -> np.ndarray:
-        """Return the probability (n, p) that a reading is not of the Sun, in the mean of motions."""
+        """Return the probability (n, p) that a panel reading does not come from the Sun, averaged over motions."""
         track = self.track(motions)
-        fine = np.isfinite(track).all(axis=(1, 2))
-        own = motions.u[fine][:, self.model.of_panels]
-        return self.model.panels.outlier_probability(states_of(track[fine]), own)
+        computed = np.isfinite(track).all(axis=(1, 2))
+        u_panels = motions.u[computed][:, self.model.of_panels]
+        return self.model.panels.outlier_probability(states_of(track[computed]), u_panels)
