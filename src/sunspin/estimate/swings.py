@@ -50,7 +50,9 @@ def fits_of_oscillation(
     # in the time T the body turns by the wander times sqrt(T) about each axis, rad s^-0.5
     wanders = np.array(s.swings_rad) / np.sqrt(float(np.median(np.diff(obs.t_s))))
     # with gains and the like held as the best motion has them: errors enlarged by their uncertainty would count as likelihood
-    held_terms = tuple(term.with_fixed_unknowns(motion.u[0, own]) for term, own in nominal.terms_with_slices)
+    held_terms = tuple(
+        term.with_fixed_unknowns(motion.u[0, own]) for term, own in nominal.terms_with_slices
+    )
     held = replace(obs, terms=held_terms)
     best_held = _fit_to_held(best.model, motion, held, ladder_settings)
     if not np.isfinite(best_held.log_evidence[0]):

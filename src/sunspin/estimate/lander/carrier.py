@@ -240,7 +240,9 @@ class Shooting:
         cells = cell_count(reference.limit, reference.edge)
         duration_s = START_S * cells * len(reference.suns)
         if duration_s > LONG_S:
-            smaller = min(reference.prior_max_rate, reference.limit) * (LONG_S / duration_s) ** (1 / 3)
+            smaller = min(reference.prior_max_rate, reference.limit) * (LONG_S / duration_s) ** (
+                1 / 3
+            )
             _warn(
                 f"looking for starts takes about {duration_s / 60:.1f} min; with --prior max_rate_rad_s={smaller:.2g} about one"
             )
