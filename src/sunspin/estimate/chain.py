@@ -435,8 +435,8 @@ def fit(
     )
     system, inverse = solution.system, invert_bordered(solution.system)
     fitted = Track(*solution.state, system.cost, inverse.nodes)
-    # Laplace's method: log(prior) - J - log(det H) / 2, less the sum of log(det Sigma) / 2, as the defects' prior is normalised. What
-    # all models of a pass share is left out: see `log_left_out`.
+    # Laplace's method: log(prior) - J - log(det H) / 2, less the sum of log(det Sigma) / 2, as the defects' prior is normalised.
+    # What all models of a pass share is left out: see `log_left_out`.
     half_log_det = inverse.log_determinant / 2
     _, log_width_of_torques = whitening(model.noise, np.diff(model.obs.t_s))
     log_evidence = model.log_prior - system.cost - half_log_det - log_width_of_torques
