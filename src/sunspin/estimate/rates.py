@@ -29,7 +29,7 @@ from sunspin.estimate.model import SUN_N, Body, Model, Noise
 from sunspin.estimate.observe import (
     Pass,
     observe,
-    passes_asked_for,
+    select_passes,
     split_passes,
     wheel_models,
     with_unused_samples,
@@ -167,7 +167,7 @@ def rates(
     calibration = calibrate_magnetometer(local, assessment) if calibration is None else calibration
     readings = observe(assessment, source, local, calibration, acting(torques, local))
     every_pass = split_passes(readings, gap_s, settings.passes)
-    passes = passes_asked_for(every_pass, pass_id)
+    passes = select_passes(every_pass, pass_id)
     readings = with_unused_samples(readings, every_pass, passes)
     kept = sum(len(a_pass.kept) for a_pass in passes)
 

@@ -18,7 +18,7 @@ from sunspin.estimate.carry import RATE, TURN
 from sunspin.estimate.dense import curve
 from sunspin.estimate.images import either_side
 from sunspin.estimate.model import Model
-from sunspin.estimate.observe import FileReadings, Pass, wheels_untold
+from sunspin.estimate.observe import FileReadings, Pass, wheels_of_unknown_speed
 from sunspin.estimate.solutions import Solutions
 from sunspin.estimate.terms.directions import SunDirections
 from sunspin.estimate.terms.field import FieldDirection, KnownField
@@ -150,7 +150,7 @@ def _attributes(
     attrs |= {f"{name}_used": int(name in read) for name in OTHER_SENSORS}
     if any(term.name == RateMagnitudes.name for term in readings.obs.terms):
         attrs["rate_size_used"] = int(RateMagnitudes.name in read)
-    wheels = [] if attrs["gyro_used"] else wheels_untold(vehicle, telemetry)
+    wheels = [] if attrs["gyro_used"] else wheels_of_unknown_speed(vehicle, telemetry)
     gains = assessment.doubtful_gains if readings.source == "panels" else {}
     return attrs | {
         "wheels_untold": ", ".join(wheels),

@@ -28,7 +28,7 @@ class PassSettings:
     """Longest pass if a magnetometer is read. Without an orbit the rotation of the field is taken as uniform, which holds for a
     sixth of an orbit: over half an orbit rates of simulated spinners were off by 0.03 deg/s at a stated sigma of 0.014."""
 
-    many: int = 500
+    most_in_field: int = 500
     """With an orbit `longest_field_s` holds only for passes that would have more samples than this. Kept samples 70 s apart, four
     revolutions at 21 deg/s, left two of four passes undecided. Slow bodies, read every 10 s, need the longer pass."""
 
@@ -36,7 +36,7 @@ class PassSettings:
     """A pass does not end if panels show no Sun for less than this and a magnetometer is read. The shadow of the Earth lasts
     longer. A body with one panel and a revolution of 28 s had a pass for each revolution."""
 
-    kept: int = 40
+    most_kept: int = 40
     """Most samples of a pass that the search keeps."""
 
     growth: float = 1.4
