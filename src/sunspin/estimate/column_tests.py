@@ -25,9 +25,9 @@ from sunspin.estimate.equivalence import (
     CLEARLY,
     ColumnChange,
     Observed,
-    alike,
     column_changes,
     equivalence,
+    equivalent_changes,
     rate_under,
     wheel_changes,
 )
@@ -438,7 +438,9 @@ def with_equivalents(
     """Return a change and those of the others that look the same, with their rates; `result`: the estimate with the change."""
     omega, _ = rate_in_the_middle(result)
     along = replace(observed, sun_B=np.nan_to_num(result["sun_B"].values))
-    same = alike(along, change, [other for other in others if other.what != change.what])
+    same = equivalent_changes(
+        along, change, [other for other in others if other.what != change.what]
+    )
     return [
         Named(change, omega),
         *(Named(equivalent, rate_under(m, omega)) for equivalent, m in same),
@@ -606,7 +608,7 @@ def _exchanged_by_sensor(
     # the file as it is written first
     changes = [
         (AS_WRITTEN, np.eye(3)),
-        *alike(without, AS_WRITTEN, column_changes(vehicle, telemetry)),
+        *equivalent_changes(without, AS_WRITTEN, column_changes(vehicle, telemetry)),
     ]
     read = telemetry[name].sel(time=estimate["time"].values).values
     attitude = Rotation.from_quat(estimate["B_from_N"].values).as_matrix()

@@ -37,9 +37,9 @@ from sunspin.estimate.equivalence import (
     AS_WRITTEN,
     CLEARLY,
     Observed,
-    alike,
     column_changes,
     equivalence,
+    equivalent_changes,
     rate_under,
     unseen_changes,
     wheel_change,
@@ -385,7 +385,7 @@ def _with_doubted_wheels(
     others = [other for other in others if other.what != change.what]
     at = int(np.argmin(np.abs(doubt.t_s - (doubt.t_s[0] + doubt.t_s[-1]) / 2)))
     omega = doubt.omega[at]
-    same = alike(replace(observed, sun_B=doubt.sun_B), change, others)
+    same = equivalent_changes(replace(observed, sun_B=doubt.sun_B), change, others)
     named = (
         Named(change, omega),
         *(Named(equivalent, rate_under(m, omega)) for equivalent, m in same),
