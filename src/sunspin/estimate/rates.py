@@ -49,7 +49,7 @@ from sunspin.estimate.settings import LARGEST_RATE, LARGEST_TURNS, RATES, RatesS
 from sunspin.estimate.solutions import Solutions, solutions
 from sunspin.estimate.starts import allowed_directions, fine_up_to
 from sunspin.estimate.terms.panels import Panels
-from sunspin.estimate.verdict import count_of_passes, more_effort, rates_words, slower
+from sunspin.estimate.verdict import advise_lower_limit, count_of_passes, more_effort, rates_words
 from sunspin.estimate.wheels import (
     Reversed,
     decide_wheels,
@@ -458,7 +458,7 @@ def left_open_by_search(
         if pass_fits.cut:
             parts.append(f"budget reached: {more_effort(effort)}")
         if np.isfinite(limit):
-            parts.append(f"coarse: {slower(limit)}")
+            parts.append(f"coarse: {advise_lower_limit(limit)}")
         if strength_free and model.body.sphere and (far or strong):
             no_sphere += 1
             parts.append(
