@@ -384,10 +384,7 @@ def _damping_scale(of_readings: np.ndarray, t_s: np.ndarray) -> np.ndarray:
 
 
 def _sun_turn_prior(obs: Observations, sun_B: np.ndarray) -> np.ndarray:
-    """Return the inverse prior covariance (K, 3, 3) of a turn about the Sun direction (K, 3), which no reading determines.
-
-    If no term shows the Sun, it is that of a turn about any axis.
-    """
+    """Return the inverse prior covariance (K, 3, 3) of a turn about the Sun direction (K, 3); without a Sun, about any axis."""
     if not any(term.of_sun for term in obs.terms):
         return np.tile(np.eye(3) / SUN_TURN_SIGMA**2, (len(sun_B), 1, 1))
     return sun_B[:, :, None] * sun_B[:, None, :] / SUN_TURN_SIGMA**2
@@ -414,7 +411,7 @@ def fit(
         attitude, omega, u = state
         of_states, of_unknowns = change
         u = u if of_unknowns is None else np.clip(u + of_unknowns, -limits, limits)
-        u[:, model.inertia_slice] = model.body.possible(u[:, model.inertia_slice])
+        u[:, model.inertia_slice] = model.body.possible_errors(u[:, model.inertia_slice])
         if along_equations:
             bent = bent_step(model, Track(*state), of_states, u)
             attitude, omega = bent.attitude, bent.omega

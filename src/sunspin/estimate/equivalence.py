@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
 from itertools import combinations, islice, permutations, product
 from types import MappingProxyType
 
@@ -198,11 +197,6 @@ class Observed:
         span = float(np.ptp(telemetry["time"].values)) if telemetry.sizes.get("time") else 0.0
         return cls(vehicle, lit, span_s=span, sensors=were_read, panels=name is not None, **rest)
 
-    @cached_property
-    def free_scale(self) -> bool:
-        """Return whether only ratios of the gains are known: a common factor on all readings is free."""
-        return self.vehicle.throttled or self.vehicle.gain_unit is None
-
 
 def equivalence(observed: Observed, first: ColumnChange, second: ColumnChange) -> np.ndarray:
     """Return the rotations and mirrors M of the body (m, 3, 3) by which two changes are equivalent, the least costly first.
@@ -384,8 +378,8 @@ def _panel_maps(
         b = [k for panels in assigned for k in panels]
         gain_off = log_gain[a] - log_gain[b]
         weight = 1 / (log_gain_sigma[a] ** 2 + log_gain_sigma[b] ** 2)
-        if observed.free_scale:
-            # a common factor costs nothing
+        if vehicle.throttled or vehicle.gain_unit is None:
+            # only ratios of gains are known: a common factor costs nothing
             gain_off = gain_off - np.average(gain_off, weights=weight)
         gain_cost = float(weight @ gain_off**2) / 2
         if gain_cost > CLEARLY:

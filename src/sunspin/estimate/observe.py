@@ -148,9 +148,8 @@ def observe(
     terms = [term for term in terms if term is not None]
     # an error that is uniform over the unit has the variance unit^2 / 12
     time_sigma_s = rounded_to_s(t_s) / np.sqrt(12)
-    return FileReadings(
-        Observations(t_s, np.zeros((len(t_s), 3)), tuple(terms), time_sigma_s), why, source
-    )
+    obs = Observations(t_s, np.zeros((len(t_s), 3)), tuple(terms), time_sigma_s)
+    return FileReadings(obs, why, source)
 
 
 def rounded_to_s(t_s: np.ndarray) -> float:
@@ -246,11 +245,8 @@ def split_passes(readings: FileReadings, gap_s: float | None, s: PassSettings) -
     gap = s.gap_intervals * median_s if gap_s is None else gap_s
     # indices among the usable samples of those after which a pass ends
     ends = np.flatnonzero(np.diff(t_s) > gap)
-    field_changes = [
-        term
-        for term in readings.obs.terms
-        if isinstance(term, FieldChange) and term.present().any()
-    ]
+    magnetometers = [term for term in readings.obs.terms if isinstance(term, FieldChange)]
+    field_changes = [term for term in magnetometers if term.present().any()]
     if field_changes and gap_s is None:
         field_s = readings.obs.t_s[np.isfinite(field_changes[0].field_B).all(axis=1)]
         ends = [k for k in ends if not _field_bridges(field_s, t_s[k], t_s[k + 1], gap, s)]

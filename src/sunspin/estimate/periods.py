@@ -321,8 +321,8 @@ def draw_inertias(body: Body, rng: np.random.Generator) -> np.ndarray:
     for _ in range(MOST_TRIES):
         u = rng.standard_normal((INERTIAS, len(body.errors))) * (not body.sphere)
         drawn = np.broadcast_to(body.inertia_at(u), (INERTIAS, 3, 3))
-        # `Body.possible` returns errors of a possible body unchanged
-        is_possible = (body.possible(u) == u).all(axis=1)
+        # `Body.possible_errors` returns errors of a possible body unchanged
+        is_possible = (body.possible_errors(u) == u).all(axis=1)
         possible = np.concatenate([possible, drawn[is_possible]])
         if len(possible) >= INERTIAS:
             break

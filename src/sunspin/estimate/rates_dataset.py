@@ -312,19 +312,9 @@ def verdict_variables(
         # mirrored motion, whose speed is the same.
         fields = {term.label for term in of_pass.obs.terms if isinstance(term, FieldDirection)}
         unconfirmed = set(by_sensor) <= {*(fields or {SunDirections.label}), RateMagnitudes.label}
-        row = PassRow(
-            samples=len(t_s),
-            first_s=t_s[0],
-            last_s=t_s[-1],
-            at_s=t_s[mid],
-            probability=of_pass.probability,
-            omega=omega,
-            sigma=sigma,
-            speed=speed,
-            answers=checks,
-            columns_checked=COLUMNS_UNCHECKED if unconfirmed else COLUMNS_STATED,
-        )
-        rows.append(row)
+        columns_checked = COLUMNS_UNCHECKED if unconfirmed else COLUMNS_STATED
+        of_solutions = of_pass.probability, omega, sigma, speed, checks, columns_checked
+        rows.append(PassRow(len(t_s), t_s[0], t_s[-1], t_s[mid], *of_solutions))
     return (
         passes_table(rows, epoch_utc)
         | _estimates([of_pass.estimates[0] for of_pass in solved])

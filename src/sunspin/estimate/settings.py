@@ -44,8 +44,7 @@ class PassSettings:
     ones, so that the rate known from some samples always predicts the next one."""
 
     dense: int = 12
-    """Samples close together among which a search finds its first pairs: a pass that begins in the Earth's shadow is searched where
-    most of so many see the Sun."""
+    """Samples close together among which a search finds its first pairs; they lie where most of so many show the Sun."""
 
 
 @dataclass(frozen=True)
@@ -233,8 +232,7 @@ class SolutionSettings:
     """Motions of a model with less than this part of the largest probability are left out."""
 
     bent_rad: float = 1.0
-    """Largest difference of the turns between two samples of one motion under two models; other motions differ by more, mostly by
-    whole revolutions."""
+    """Largest difference of turns between two samples of one motion under two models; others mostly differ by whole revolutions."""
 
     most: int = 6
     """Most solutions reported for each pass."""
@@ -405,8 +403,7 @@ class OrbitSettings:
     """Log likelihood by which another clock, or a field of the opposite sign, must fit better to be named."""
 
     mirrored: float = 0.5
-    """A field is reported as reversed if the error of its angle to the Sun, once reversed, is less than this part of the error
-    before."""
+    """A field is reported as reversed if its reversal reduces the error of its angle to the Sun to less than this part."""
 
     nodes_deg: tuple[float, ...] = (-24.0, -12.0, -6.0, -3.0, 3.0, 6.0, 12.0, 24.0)
     """Other nodes that are tried, relative to that of the elements."""
@@ -600,8 +597,8 @@ class GridSettings:
     """Part of its speed that every wheel must still have at the reference, so that motions can be propagated back from there."""
 
     most_spun: float = 0.6
-    """Largest rate that wheels have transferred to the body until the reference, over the largest rate. At 0.8 the grid has ten
-    times as many points."""
+    """Most of the largest rate that wheels may transfer to the body until the reference. At 0.8 the grid has ten times the
+    points."""
 
     faster_at_first: float = 1.05
     """Factor on the largest rate: a motion that began faster is left out."""
@@ -713,8 +710,7 @@ class ShootingSettings:
     """Indices of the sizes of a constant torque, among its shares, under which fits begin."""
 
     searched_under: int = 1
-    """Index of the size that a search under a torque assumes: smaller ones hold the torque near zero, the largest allows any
-    motion."""
+    """Index of the size that a search under a torque assumes: smaller ones hold it near zero, the largest allows any motion."""
 
 
 @dataclass(frozen=True)
@@ -754,8 +750,7 @@ class PosteriorSettings:
     """and its probability among the alternative models is at least this."""
 
     long_search: float = 400_000
-    """A search under torques, which takes four minutes of one core, follows only if the first took fewer motions times samples, two
-    minutes."""
+    """Motions times samples of the search, two minutes of one core, beyond which none under torques follows: it takes four."""
 
 
 POSTERIOR = PosteriorSettings()

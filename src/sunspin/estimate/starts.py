@@ -368,7 +368,7 @@ def _errors_of_body(body: Body, rates: np.ndarray, otherwise: np.ndarray) -> np.
     inertia *= 3 / np.trace(inertia, axis1=1, axis2=2)[:, None, None]
     off = (inertia - body.inertia).reshape(-1, 9)
     u = np.linalg.lstsq(body.errors.reshape(-1, 9).T, off.T, rcond=None)[0].T
-    return np.where(sound[:, None], body.possible(u), otherwise)
+    return np.where(sound[:, None], body.possible_errors(u), otherwise)
 
 
 def other_bodies(motions: Track, model: Model) -> Track:

@@ -142,10 +142,8 @@ def upper_text(value: float) -> str:
 
 
 def drawn_speeds(omega: np.ndarray, covariance: np.ndarray) -> np.ndarray:
-    """Return draws (K, `DRAWS`) of the angular speed for normally distributed rates (K, 3) with covariances (K, 3, 3).
-
-    The seed is fixed.
-    """
+    """Return draws (K, `DRAWS`), from a fixed seed, of the speed of normally distributed rates (K, 3) with covariances (K, 3,
+    3)."""
     normal = np.random.default_rng(0).standard_normal((DRAWS, 3))
     values, axes = np.linalg.eigh(covariance)
     root = axes * np.sqrt(np.maximum(values, 0.0))[:, None, :]  # root root^T is the covariance
@@ -373,10 +371,7 @@ def rates_words(result: xr.Dataset) -> str:
             f"{count_of_passes(count)}: NO SOLUTION FITS. Possible causes: external torque, changing wheel speed, wrong "
             "inertia, light of the Earth on the panels (a `noise` of 3 % of full Sun under [telemetry] allows for it), faulty data"
         )
-    if "columns_doubt" in attrs:
-        notes.append(attrs["columns_doubt"])
-    if "columns_rivals" in attrs:
-        notes.append(attrs["columns_rivals"])
+    notes += [attrs[name] for name in ("columns_doubt", "columns_rivals") if name in attrs]
     if count := int((fits & unique & ~constrained).sum()):
         notes.append(
             f"{count_of_passes(count)}: single solution, but not all rate components are constrained"
@@ -412,8 +407,9 @@ def rates_words(result: xr.Dataset) -> str:
             f"{more_effort(attrs['effort_given'])}"
         )
     if attrs.get("column_tests_cut"):
-        advice = more_effort(attrs["effort_given"])
-        notes.append(f"not every other order of columns was tried: {advice}")
+        notes.append(
+            f"not every other order of columns was tried: {more_effort(attrs['effort_given'])}"
+        )
     if count := attrs["coarse_passes"]:
         notes.append(
             f"{count_of_passes(count)}: coarse search, a solution may be missing: "
