@@ -230,8 +230,8 @@ def _source(telemetry: xr.Dataset, wanted: str | None, has_field: bool) -> str:
 def split_passes(readings: FileReadings, gap_s: float | None, s: PassSettings) -> list[Pass]:
     """Return the passes of a file: separated by long gaps, cut if they are too long, each with the samples that the search keeps.
 
-    A gap is long if it exceeds `gap_s`, or by default `s.gap_intervals` median intervals; then a pass also continues over a gap in
-    which a magnetometer was read. Pieces of less than three samples are left out. Raise InputError if no pass is left.
+    A gap is long if it exceeds `gap_s`, by default `s.gap_intervals` median intervals. With the default a pass also continues over
+    a gap in which a magnetometer was read. Pieces of less than three samples are left out; raise InputError if no pass is left.
     """
     usable = readings.usable
     if len(usable) < 3:
@@ -245,6 +245,7 @@ def split_passes(readings: FileReadings, gap_s: float | None, s: PassSettings) -
     gap = s.gap_intervals * median_s if gap_s is None else gap_s
     # indices among the usable samples of those after which a pass ends
     ends = np.flatnonzero(np.diff(t_s) > gap)
+    # readings of a field whose direction in space is unknown
     magnetometers = [term for term in readings.obs.terms if isinstance(term, FieldChange)]
     field_changes = [term for term in magnetometers if term.present().any()]
     if field_changes and gap_s is None:
