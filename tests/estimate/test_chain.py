@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from sunspin.estimate.carry import RATE, step
 from sunspin.estimate.chain import (
-    LEAST_TURN,
+    LEAST_DEFECT_RAD,
     bent_step,
     defects,
     equations,
@@ -80,7 +80,7 @@ def test_whitening_gives_the_covariance_of_white_acceleration():
     for k, t in enumerate(dt):
         eye = np.eye(3)
         covariance = q**2 * np.block([[eye * t**3 / 3, eye * t**2 / 2], [eye * t**2 / 2, eye * t]])
-        covariance[:3, :3] += LEAST_TURN**2 * eye
+        covariance[:3, :3] += LEAST_DEFECT_RAD**2 * eye
         assert np.allclose(white[k] @ covariance @ white[k].T, np.eye(6), atol=1e-9)
     logs = [np.linalg.slogdet(np.linalg.inv(one.T @ one))[1] for one in white]
     assert np.isclose(log_determinant, sum(logs) / 2)

@@ -62,7 +62,7 @@ def test_the_motion_between_kept_samples_is_the_true_one(tumble):
     _, run, model, kept = tumble
     omega = run["omega_B"].values
     track = filled_from(model, kept, attitudes(run), omega)[0]
-    assert len(kept) <= RATES.passes.kept and np.diff(kept).max() > 5
+    assert len(kept) <= RATES.passes.most_kept and np.diff(kept).max() > 5
     # a step of a fit is good to 1e-4 of a turn
     np.testing.assert_allclose(track.omega[0], omega, rtol=0, atol=5e-6)
     np.testing.assert_allclose(track.sun_B[0], run["sun_B"].values, rtol=0, atol=2e-4)

@@ -11,9 +11,9 @@ from sunspin.estimate.equivalence import (
     AS_WRITTEN,
     ColumnChange,
     Observed,
-    alike,
     column_changes,
     equivalence,
+    equivalent_changes,
     exchange,
     rate_under,
     unseen_changes,
@@ -89,12 +89,12 @@ def test_a_mirror_reverses_a_wheel_but_not_one_along_its_normal(axis, seen):
     craft = body(wheels=(wheel,))
     momentum = 0.5 * np.asarray(wheel.axis_B)[None, None] * np.ones((1, 20, 1))
     observed = lit(craft, momenta=momentum)
-    assert names(alike(observed, AS_WRITTEN, of_columns(craft))) == seen
+    assert names(equivalent_changes(observed, AS_WRITTEN, of_columns(craft))) == seen
     (reversed_wheel,) = wheel_changes(craft)
     others = {pair("+x", "-x"), pair("+y", "-y"), pair("+z", "-z")} - seen
-    assert names(alike(observed, reversed_wheel, of_columns(craft))) == others
+    assert names(equivalent_changes(observed, reversed_wheel, of_columns(craft))) == others
     weak = replace(observed, momenta=1e-5 * momentum)  # 0.003 rad in ten minutes: nobody sees it
-    assert names(alike(weak, AS_WRITTEN, of_columns(craft))) == seen | others
+    assert names(equivalent_changes(weak, AS_WRITTEN, of_columns(craft))) == seen | others
 
 
 def test_with_wing_panels_an_exchange_of_two_opposite_columns_is_detected():
@@ -103,12 +103,15 @@ def test_with_wing_panels_an_exchange_of_two_opposite_columns_is_detected():
         [*CUBE_NORMALS[[0, 1, 3, 4, 5]], *wings], ("+x", "+y", "-x", "-y", "-z", "wa", "wb")
     )
     empty = xr.Dataset({"power_W": (("time", "panel"), np.zeros((2, 7)))})
-    assert not alike(lit(craft), AS_WRITTEN, of_columns(craft))
+    assert not equivalent_changes(lit(craft), AS_WRITTEN, of_columns(craft))
     ((both, matrix),) = unseen_changes(lit(craft), empty)
     assert both.what == f"{pair('+x', '-x')}, and {pair('wa', 'wb')}"
     np.testing.assert_allclose(matrix, X, atol=1e-12)
     wing = exchange(craft, 5, 6)
-    assert names(alike(lit(craft), wing, of_columns(craft))) == {wing.what, pair("+x", "-x")}
+    assert names(equivalent_changes(lit(craft), wing, of_columns(craft))) == {
+        wing.what,
+        pair("+x", "-x"),
+    }
 
 
 def test_gains_distinguish_exchanges_beyond_their_sigmas_and_only_by_ratios_if_the_scale_is_free():

@@ -68,7 +68,7 @@ def test_every_trial_inertia_is_physical():
     """Errors of four sigmas of a body without an inertia would make moments negative; small ones stay as they are."""
     body = Body.of(replace(CUBE, inertia_kg_m2=None))
     errors = np.array([[-4.0, 4, 0, 4, 0, 0], [0, 0, 0, -4, 4, -4], [0.5, 0, 0, -0.5, 0, 0]])
-    drawn = body.possible(errors)
+    drawn = body.possible_errors(errors)
     assert np.linalg.eigvalsh(body.inertia_at(errors)).min() < 0  # control
     assert np.linalg.eigvalsh(body.inertia_at(drawn)).min() >= THINNEST
     assert np.all(drawn[2] == errors[2])

@@ -14,7 +14,7 @@ from sunspin.estimate.lander.grid import choose_reference
 from sunspin.estimate.lander.model import LanderModel
 from sunspin.estimate.lander.priors import with_priors
 from sunspin.estimate.lander.window import observe_window
-from sunspin.estimate.observe import wheels_untold
+from sunspin.estimate.observe import wheels_of_unknown_speed
 from sunspin.estimate.posterior import _nothing_drawn, posterior
 from sunspin.estimate.settings import POSTERIOR
 from sunspin.telemetry.assess import assess
@@ -77,7 +77,9 @@ def test_the_first_wheel_speed_is_that_of_the_telemetry():
     assert [wheel.speed_rad_s for wheel in model.vehicle.wheels] == [140.0, 0.0]
     stated, _ = model_of(craft, telemetry)
     assert [wheel.speed_rad_s for wheel in stated.vehicle.wheels] == [7.0, 0.0]
-    assert wheels_untold(craft, read) == wheels_untold(craft, telemetry) == ["b"]
+    assert (
+        wheels_of_unknown_speed(craft, read) == wheels_of_unknown_speed(craft, telemetry) == ["b"]
+    )
 
 
 def test_misalignment_sigmas_come_from_the_file_unless_given():

@@ -86,7 +86,7 @@ def test_periods_of_solutions_agree_with_the_reference_motion():
         ]
         rate = np.concatenate(runs)
         momentum = rate @ inertia + 1e-3 * np.array([0, 0.6, 0.8])
-        mean = pd.euler_rates(rate, momentum, pd.own_axis(inertia)).mean(axis=0)
+        mean = pd.euler_rates(rate, momentum, pd.spin_axis(inertia)).mean(axis=0)
         np.testing.assert_allclose(np.median(drawn, axis=0), 2 * np.pi / np.abs(mean), rtol=2e-3)
 
 
@@ -146,11 +146,11 @@ def test_a_period_at_a_time_of_no_pass_is_refused():
 def test_drawn_inertias_scatter_as_the_file_says_and_a_sphere_has_one():
     rng = np.random.default_rng(0)
     body = Body.of(WHEELED)
-    drawn = np.concatenate([pd.drawn_inertias(body, rng) for _ in range(200)])
+    drawn = np.concatenate([pd.draw_inertias(body, rng) for _ in range(200)])
     spread = np.sqrt(((drawn - body.inertia) ** 2).mean(axis=0))
     np.testing.assert_allclose(spread, np.abs(body.errors).max(axis=0), rtol=0.1)
     sphere = Body.of(replace(WHEELED, inertia_kg_m2=None, wheels=()))
-    assert (pd.drawn_inertias(sphere, rng) == np.eye(3)).all()
+    assert (pd.draw_inertias(sphere, rng) == np.eye(3)).all()
 
 
 def test_rates_with_a_period_keep_probabilities_with_and_without_it():
@@ -177,7 +177,7 @@ def test_periods_of_draws_agree_with_the_reference_motion(after_s):
     run = ss.propagate(PHILAE, *state, np.append(0.0, t_s if after_s > 0 else t_s[::-1]))
     omega, speeds = run["omega_B"].values[1:], run["wheel_speed_rad_s"].values[1:]
     momentum = gyrostat.total_momentum(PHILAE, omega, speeds)
-    axis = pd.own_axis(PHILAE.require_inertia())
+    axis = pd.spin_axis(PHILAE.require_inertia())
     mean = pd.euler_rates(omega, momentum, axis).mean(axis=0)
     np.testing.assert_allclose(found, 2 * np.pi / np.abs(mean), rtol=1e-3)
     assert abs(axis[2]) > 0.99

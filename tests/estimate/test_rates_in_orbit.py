@@ -14,7 +14,7 @@ from sunspin.environment.frames import FIELD_Z_LOCAL
 from sunspin.environment.orbit import SunAlongZ
 from sunspin.estimate.field_led import leading_field
 from sunspin.estimate.model import Body, Model, Noise, Track
-from sunspin.estimate.observe import FIELD_ALONE, observe, split_passes, thinned
+from sunspin.estimate.observe import FIELD_ONLY, observe, split_passes, thinned
 from sunspin.estimate.one_pass import drop_faster
 from sunspin.estimate.orbit.calibration import calibrate_magnetometer
 from sunspin.estimate.rates import along_the_sun, rates
@@ -59,7 +59,7 @@ def test_a_sample_in_the_shadow_uses_its_field_and_requires_dark_panels(case):
     panels, field = known.obs.terms[:2]
     assert isinstance(panels, Panels) and isinstance(field, KnownField)
     dark = np.flatnonzero(panels.sun_up == 0)
-    assert len(dark) and set(known.why[dark]) == {FIELD_ALONE + "no panel lit"}
+    assert len(dark) and set(known.why[dark]) == {FIELD_ONLY + "no panel lit"}
     assert len(known.usable) == len(data["time"]) > len(plain.usable)
     assert np.isfinite(panels.sigma[dark]).all() and not known.obs.sees_sun[dark].any()
     stated = Model(known.obs, Body.of(vehicle), Noise(1e-4), 0.1)
@@ -82,7 +82,7 @@ def test_a_pass_goes_on_while_the_field_is_read_and_panels_look_away(case):
 def test_kept_samples_are_close_where_the_sun_is_first_seen_and_reach_both_ends(count, sunlit):
     places = thinned(count, RATES.passes, sunlit)
     steps, first = np.diff(places), np.searchsorted(places, sunlit)
-    assert len(places) <= RATES.passes.kept and places[0] == 0 and places[-1] == count - 1
+    assert len(places) <= RATES.passes.most_kept and places[0] == 0 and places[-1] == count - 1
     assert steps[first] == 1
     for away in (steps[first:], steps[:first][::-1]):
         assert (away[1:] <= np.ceil(RATES.passes.growth * away[:-1]) + 1).all()

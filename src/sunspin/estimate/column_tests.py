@@ -26,9 +26,9 @@ from sunspin.estimate.equivalence import (
     CLEARLY,
     ColumnChange,
     Observed,
-    alike,
     column_changes,
     equivalence,
+    equivalent_changes,
     rate_under,
     wheel_changes,
 )
@@ -442,7 +442,9 @@ def with_equivalents(
     """Return a change and those of the `others` that look the same, with their rates; `result`: the estimate under the change."""
     omega, _ = rate_at_mid_time(result)
     along = replace(observed, sun_B=np.nan_to_num(result["sun_B"].values))
-    same = alike(along, change, [other for other in others if other.what != change.what])
+    same = equivalent_changes(
+        along, change, [other for other in others if other.what != change.what]
+    )
     return [
         ChangeWithRate(change, omega),
         *(ChangeWithRate(equivalent, rate_under(matrix, omega)) for equivalent, matrix in same),
@@ -630,7 +632,7 @@ def _exchanged_by_sensor(
     # each change with its M (3, 3); the file as it is written first
     changes = [
         (AS_WRITTEN, np.eye(3)),
-        *alike(observed_without, AS_WRITTEN, column_changes(vehicle, telemetry)),
+        *equivalent_changes(observed_without, AS_WRITTEN, column_changes(vehicle, telemetry)),
     ]
     read = telemetry[name].sel(time=motion["time"].values).values
     attitude = Rotation.from_quat(motion["B_from_N"].values).as_matrix()

@@ -39,9 +39,9 @@ from sunspin.estimate.equivalence import (
     AS_WRITTEN,
     CLEARLY,
     Observed,
-    alike,
     column_changes,
     equivalence,
+    equivalent_changes,
     rate_under,
     unseen_changes,
     wheel_change,
@@ -407,7 +407,7 @@ def _with_doubted_wheels(
         )
     candidates = [*column_changes(observed.vehicle, telemetry), *wheel_changes(observed.vehicle)]
     candidates = [candidate for candidate in candidates if candidate.what != change.what]
-    same = alike(replace(observed, sun_B=doubt.sun_B), change, candidates)
+    same = equivalent_changes(replace(observed, sun_B=doubt.sun_B), change, candidates)
     # the rate at the sample nearest to the middle of the pass
     middle = int(np.argmin(np.abs(doubt.t_s - (doubt.t_s[0] + doubt.t_s[-1]) / 2)))
     omega, at_s = doubt.omega[middle], float(doubt.t_s[middle])

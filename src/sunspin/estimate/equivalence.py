@@ -1,16 +1,15 @@
-"""Which changes of columns, panels, wheel signs and sensor axes look the same in the telemetry.
+"""Which changes of columns, panels, wheel signs and sensor axes in a vehicle file the telemetry cannot distinguish.
 
-Two changes of a vehicle file are equivalent if a rotation or a mirror M of the body maps the readings under the one onto those
-under the other. That is s' = M s for directions, omega' = det(M) M omega for rates and momenta, and M Theta M^T for the inertia.
-Then no data distinguish them. One function decides it, :func:`equivalence`: normals of lit panels propose matrices M (Procrustes),
-which other sensors, dark panels, inertia and wheels may refuse. Stated errors allow small differences, at a cost in log evidence.
+Two changes are equivalent if a rotation or a mirror M of the body maps the readings under the one onto those under the other:
+s' = M s for directions, omega' = det(M) M omega for rates and momenta, and M Theta M^T for the inertia. Then no data distinguish
+them. One function decides it, :func:`equivalence`: normals of lit panels propose matrices M (Procrustes), which other sensors, dark
+panels, inertia and wheels may exclude. Stated errors allow small differences, at a cost in log evidence.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
 from itertools import combinations, islice, permutations, product
 from types import MappingProxyType
 
@@ -24,38 +23,38 @@ from sunspin.vehicle import Vehicle
 from sunspin.vehicle.response.panels import misalignment_sigma
 
 CLEARLY = 10.0
-"""Log evidence by which a change must be better before it is named. Changes are equivalent if the errors of the file that they
-need cost no more than this."""
+"""Log evidence by which a change must fit better to be named. Changes are equivalent if the errors of the file that they need cost
+no more than this."""
 
 NORMALS_ALIKE = 0.01
 """Difference of two unit normals without a stated sigma that costs `CLEARLY`: 40 samples of 1 % noise show a smaller one."""
 
 AXES_ALIKE = 0.05
-"""Largest difference of two matrices of axes that are the same axes."""
+"""Largest difference between elements of two matrices of axes that count as the same axes."""
 
 LIT_SHARE, LIT_SAMPLES, BRIGHTEST = 0.15, 2, 0.9
-"""A panel was lit if so many samples exceed this share of full Sun: more than the Earth's light on a dark side often is. If the
-gains have no unit full Sun is this quantile of the largest reading of a sample."""
+"""A panel was lit if at least LIT_SAMPLES readings exceed LIT_SHARE of full Sun, which is more than albedo on an unlit panel often
+is. If gains have no unit, full Sun is the quantile BRIGHTEST of the largest reading of a sample."""
 
 WHEEL_SIGMA, WEAK_RAD = 0.02, 0.05
-"""Relative sigma of a wheel's momentum and direction; and the turn of the rate (rad) in the whole file below which wheels are not
-seen."""
+"""Relative sigma of a wheel's momentum and direction; and the angle (rad) by which wheels must turn the rate of the body in the
+whole file to be observable."""
 
 SAME_WAY = 0.01
-"""One less the cosine between normals that may be mirror images of each other; `equivalence` decides."""
+"""Largest 1 - cosine between normals that are tried as mirror images of each other; `equivalence` decides."""
 
 FLAT = 0.05
-"""Share of the largest singular value of end^T start (:func:`_procrustes`) below which another one counts as zero. For vectors that
-match, these values are the squares of the singular values of the vectors themselves: there the share is 0.22."""
+"""Singular values of end^T start (:func:`_procrustes`) below this part of the largest count as zero. For matching vectors they are
+the squares of the singular values of the vectors themselves, of which 0.22 is the corresponding part."""
 
 MOST_ASSIGNMENTS = 1000
-"""Assignments of the panels of shared inputs to each other that are tried."""
+"""Most assignments of the panels on shared inputs to each other that are tried."""
 
 WHEEL_SIGNS = "axis_B, speed_rad_s and speed_scale_rad_s"
 """Keys of a wheel that may have the wrong sign."""
 
 READINGS = ("power_W", "current_A")
-"""What telemetry calls the readings of panels."""
+"""Variables of telemetry with the readings of panels."""
 
 
 @dataclass(frozen=True)
@@ -64,7 +63,7 @@ class ColumnChange:
 
     `what`: in words. `columns`: input k reads the column `columns[k]`; if empty, the one that the file states. `reversed_panels`,
     `reversed_wheels`: numbers of panels and wheels with the opposite normal or axis. `axes`: variable of telemetry -> matrix (3, 3)
-    by which its readings are multiplied. `do`: what to write in the file, in words; `errors`: how many mistakes it supposes.
+    by which its readings are multiplied. `do`: what to write in the file, in words; `errors`: number of mistakes in the file.
     """
 
     what: str
@@ -76,14 +75,14 @@ class ColumnChange:
     errors: int = 1
 
     def with_wheels(self, wheels: tuple[int, ...], names: Sequence[str]) -> ColumnChange:
-        """Return this change together with reversed wheels."""
+        """Return this change together with reversed `wheels` (numbers); `names`: of all wheels."""
         what = f"{self.what} and {_wheel_words(wheels, names)}"
         keys = f"look at the signs of {WHEEL_SIGNS}"
         do = f"{self.do}, and {keys} of {' and '.join(names[k] for k in wheels)}"
         return replace(self, what=what, reversed_wheels=wheels, do=do, errors=self.errors + 1)
 
     def applied(self, vehicle: Vehicle, telemetry: xr.Dataset) -> tuple[Vehicle, xr.Dataset]:
-        """Return vehicle and telemetry as they are if the file is wrong in this way."""
+        """Return vehicle and telemetry after the change, as they are if the file is wrong in this way."""
         panels, wheels = list(vehicle.panels), list(vehicle.wheels)
         for k in self.reversed_panels:
             panels[k] = replace(panels[k], normal_B=-panels[k].normal_B)
@@ -119,12 +118,12 @@ def exchange(vehicle: Vehicle, a: int, b: int) -> ColumnChange:
 
 
 def _wheel_words(wheels: tuple[int, ...], names: Sequence[str]) -> str:
-    """Return in words which wheels turn the other way."""
+    """Return in words that `wheels` (numbers) turn the other way; `names`: of all wheels."""
     return f"wheel{'s' if len(wheels) > 1 else ''} {' and '.join(names[k] for k in wheels)} turning the other way"
 
 
 def column_changes(vehicle: Vehicle, telemetry: xr.Dataset) -> list[ColumnChange]:
-    """Return each exchange of two inputs and each reversed panel with an input of its own; none without readings of panels."""
+    """Return all exchanges of two inputs, and all reversals of a panel with an input of its own; none without panel readings."""
     if not any(name in telemetry for name in READINGS):
         return []
     pairs = [exchange(vehicle, a, b) for a, b in combinations(range(len(vehicle.inputs)), 2)]
@@ -143,27 +142,28 @@ def column_changes(vehicle: Vehicle, telemetry: xr.Dataset) -> list[ColumnChange
 
 
 def wheel_change(vehicle: Vehicle, wheels: tuple[int, ...]) -> ColumnChange:
-    """Return the change that gives wheels the opposite sign."""
+    """Return the change that gives `wheels` (numbers) the opposite sign."""
     names = [wheel.name for wheel in vehicle.wheels]
     do = f"look at the signs of its {WHEEL_SIGNS}"
     return ColumnChange(_wheel_words(wheels, names), reversed_wheels=wheels, do=do)
 
 
 def wheel_changes(vehicle: Vehicle) -> list[ColumnChange]:
-    """Return the changes that reverse each wheel, and all of them."""
+    """Return the changes that reverse one wheel each, and the one that reverses all of them."""
     count = len(vehicle.wheels)
+    # without duplicates: one wheel is also all of them
     which = dict.fromkeys([*((k,) for k in range(count)), tuple(range(count))])
     return [wheel_change(vehicle, numbers) for numbers in which if numbers]
 
 
 @dataclass(frozen=True)
 class Observed:
-    """What a telemetry file has read, as far as that distinguishes changes.
+    """What was read in a telemetry file, as far as it distinguishes changes.
 
-    `lit` (n_input): columns that were in sunlight. `momenta` (n_wheel, n, 3): of each wheel in the file, in mean moments of inertia
-    times rad/s. `span_s`: length of the file; `sensors`: variables of other sensors that were read. `in_orbit`: elements make the
-    Sun and the field known in space. `sun_B` (n, 3): the Sun's directions of an estimated motion, empty if there is none. `panels`:
-    whether the panels were used.
+    `lit` (n_input): whether each column was in sunlight. `momenta` (n_wheel, n, 3): of each wheel in body axes, in mean moments of
+    inertia times rad/s. `span_s`: duration of the file; `sensors`: variables of other sensors that were read. `in_orbit`: orbital
+    elements give the Sun and the field in space. `sun_B` (n, 3): Sun directions of an estimated motion, empty if there is none.
+    `panels`: whether panels were read.
     """
 
     vehicle: Vehicle
@@ -176,15 +176,15 @@ class Observed:
     panels: bool = True
 
     @classmethod
-    def of(cls, vehicle: Vehicle, telemetry: xr.Dataset, **more) -> Observed:
-        """Return what a Dataset of `read_telemetry` has read; `more`: fields that it does not say, as `momenta`."""
+    def of(cls, vehicle: Vehicle, telemetry: xr.Dataset, **rest) -> Observed:
+        """Return what was read in a Dataset of `read_telemetry`; `rest`: fields that it does not give, such as `momenta`."""
         name = next((variable for variable in READINGS if variable in telemetry), None)
         lit = np.zeros(len(vehicle.inputs), dtype=bool)
         if name is not None:
             power = np.nan_to_num(telemetry[name].transpose("time", "panel").values)
             share = power / vehicle.input_gains
             full_sun = 1.0
-            # gains in the unit of the readings, W or A, say what full Sun is
+            # full Sun is 1 only if gains have the unit of the readings, W or A, which is the last letter of the variable's name
             if vehicle.gain_unit != name[-1] and len(share):
                 full_sun = max(float(np.quantile(share.max(axis=1), BRIGHTEST)), 1e-300)
             lit = (share > LIT_SHARE * full_sun).sum(axis=0) >= LIT_SAMPLES
@@ -195,28 +195,21 @@ class Observed:
             if variable in telemetry and bool(telemetry[variable].notnull().any())
         )
         span = float(np.ptp(telemetry["time"].values)) if telemetry.sizes.get("time") else 0.0
-        return cls(vehicle, lit, span_s=span, sensors=were_read, panels=name is not None, **more)
-
-    @cached_property
-    def free_scale(self) -> bool:
-        """Return whether only the ratios of the gains count."""
-        return self.vehicle.throttled or self.vehicle.gain_unit is None
+        return cls(vehicle, lit, span_s=span, sensors=were_read, panels=name is not None, **rest)
 
 
 def equivalence(observed: Observed, first: ColumnChange, second: ColumnChange) -> np.ndarray:
-    """Return rotations and mirrors of the body (m, 3, 3) by which two changes look the same in the telemetry, the best first.
+    """Return the rotations and mirrors M of the body (m, 3, 3) by which two changes are equivalent, the least costly first.
 
-    There are none (0, 3, 3) if the data distinguish the changes.
-
-    With such an M, directions under the second change are M times those under the first, and rates det(M) M times.
-    `observed.sun_B` is that of a motion under the first change. The cost of a matrix is the log evidence that it costs the stated
-    errors of gains and normals, of the inertia and of the wheels.
+    There are none, (0, 3, 3), if the data distinguish the changes. Directions under the second change are M times those under the
+    first, and rates det(M) M times. `observed.sun_B` is that of a motion under the first change. The cost of M is the log evidence
+    of the errors of gains, normals, inertia and wheels that it needs; it is at most :data:`CLEARLY`.
     """
     if first.axes.get("attitude_B_from_N") is not second.axes.get("attitude_B_from_N"):
         return np.zeros((0, 3, 3))
-    distinct: list[tuple[float, np.ndarray]] = []
+    distinct: list[tuple[float, np.ndarray]] = []  # cost and M
     for m, panels_cost in _panel_maps(observed, first, second):
-        # the refusals that are computed fastest come first
+        # the conditions that are computed fastest come first
         if not (_sensors_agree(observed, first, second, m) and _stays_dark(observed, second, m)):
             continue
         cost = panels_cost + _inertia_cost(observed.vehicle, m)
@@ -229,14 +222,15 @@ def equivalence(observed: Observed, first: ColumnChange, second: ColumnChange) -
 
 
 def rate_under(matrix: np.ndarray, omega: np.ndarray) -> np.ndarray:
-    """Return rates (..., 3) as a rotation or mirror of the body (3, 3) shows them."""
+    """Return rates omega (..., 3) mapped by a rotation or mirror M (3, 3) of the body: det(M) M omega, as rates are axial
+    vectors."""
     return np.linalg.det(matrix) * (omega @ matrix.T)
 
 
-def alike(
+def equivalent_changes(
     observed: Observed, first: ColumnChange, others: Sequence[ColumnChange]
 ) -> list[tuple[ColumnChange, np.ndarray]]:
-    """Return those of the changes that look the same as the first, with the best M (3, 3) of each (:func:`equivalence`)."""
+    """Return those of the `others` that are equivalent to the first change, each with its best M (3, 3) (:func:`equivalence`)."""
     maps = [(other, equivalence(observed, first, other)) for other in others]
     return [(other, matrices[0]) for other, matrices in maps if len(matrices)]
 
@@ -244,29 +238,30 @@ def alike(
 def unseen_changes(
     observed: Observed, telemetry: xr.Dataset
 ) -> list[tuple[ColumnChange, np.ndarray]]:
-    """Return changes of columns and panels, each with its M (3, 3), that look the same as the file but show another motion.
+    """Return changes of columns and panels, each with its M (3, 3), that are equivalent to the file as written, but with another
+    motion.
 
-    First changes of one mistake are tried. If none of them looks the same, exchanges of several columns by a symmetry of the panels
-    are, and those of the fewest pairs are returned.
+    Changes that suppose one mistake are tried first. If none of them is equivalent, exchanges of several columns by a symmetry of
+    the panels are tried. Of the equivalent ones those with the fewest mistakes are returned.
     """
     of_one_mistake = column_changes(observed.vehicle, telemetry)
     if not of_one_mistake:  # no readings of panels, or nothing to change
         return []
-    for changes in (of_one_mistake, symmetric_exchanges(observed.vehicle)):
-        # det(M) M maps rates: where it is the identity, the motion is the same
-        same = [
+    for changes in (of_one_mistake, _symmetric_exchanges(observed.vehicle)):
+        # det(M) M maps rates: if it is the identity, the motion is the same
+        unseen = [
             (change, m)
-            for change, m in alike(observed, AS_WRITTEN, changes)
+            for change, m in equivalent_changes(observed, AS_WRITTEN, changes)
             if np.abs(np.linalg.det(m) * m - np.eye(3)).max() > AXES_ALIKE
         ]
-        if same:
-            fewest = min(change.errors for change, _ in same)
-            return [(change, m) for change, m in same if change.errors == fewest]
+        if unseen:
+            fewest = min(change.errors for change, _ in unseen)
+            return [(change, m) for change, m in unseen if change.errors == fewest]
     return []
 
 
 def columns_seen(vehicle: Vehicle, telemetry: xr.Dataset) -> bool:
-    """Return whether panels alone tell which column is which: no change of columns looks the same as the file.
+    """Return whether panels alone, without other sensors, show which column is which: no change is equivalent to the file.
 
     Wheels count at their nominal speed.
     """
@@ -277,27 +272,27 @@ def columns_seen(vehicle: Vehicle, telemetry: xr.Dataset) -> bool:
 def nominal_momenta(vehicle: Vehicle) -> np.ndarray:
     """Return the momentum (n_wheel, 1, 3) of each wheel at its nominal speed, in mean moments of inertia times rad/s.
 
-    Without an inertia the momenta have no unit, and there are none (0, 1, 3).
+    There are none, (0, 1, 3), without an inertia.
     """
     if vehicle.inertia_kg_m2 is None:
         return np.zeros((0, 1, 3))
-    unit = np.trace(vehicle.inertia_kg_m2) / 3
-    momenta = [w.inertia_kg_m2 * w.speed_rad_s / unit * w.axis_B for w in vehicle.wheels]
+    mean_moment = np.trace(vehicle.inertia_kg_m2) / 3
+    momenta = [w.inertia_kg_m2 * w.speed_rad_s / mean_moment * w.axis_B for w in vehicle.wheels]
     return np.array(momenta).reshape(-1, 1, 3)
 
 
-def symmetric_exchanges(vehicle: Vehicle) -> list[ColumnChange]:
-    """Return changes that exchange several pairs of columns, as a symmetry of all panels together exchanges the panels.
+def _symmetric_exchanges(vehicle: Vehicle) -> list[ColumnChange]:
+    """Return changes that exchange several pairs of columns at once, as a symmetry of the panel layout exchanges the panels.
 
-    Symmetries are mirrors that map the normals of all panels onto each other, and the half turns by two such mirrors at right
-    angles. There are no such changes for panels that share inputs.
+    Symmetries are mirrors that map all panel normals onto each other, and products of two such mirrors at right angles, which are
+    half revolutions. There are no such changes for panels that share inputs.
     """
     if any(len(panel_input.panels) > 1 for panel_input in vehicle.inputs):
         return []
     normals, count = np.array(vehicle.panel_normals_B), len(vehicle.panels)
 
     def order_of(m: np.ndarray) -> tuple[int, ...] | None:
-        """Return which panel each normal is mapped onto by m (3, 3); None if one is mapped onto none."""
+        """Return the number of the panel onto which m (3, 3) maps each normal; None if m does not map them one to one."""
         cosine = normals @ (normals @ m.T).T  # (panel, mapped normal)
         order = tuple(cosine.argmax(axis=0).tolist())
         all_mapped = cosine.max(axis=0).min(initial=1.0) > 1 - SAME_WAY
@@ -305,11 +300,12 @@ def symmetric_exchanges(vehicle: Vehicle) -> list[ColumnChange]:
 
     mirrors: list[np.ndarray] = []
     for a, b in combinations(range(count), 2):
-        across = normals[a] - normals[b]  # the normal of the plane of a mirror that exchanges both
-        square = float(across @ across)
+        # the mirror that exchanges both normals, I - 2 d d^T / d^2 with their difference d (Householder)
+        difference = normals[a] - normals[b]
+        square = float(difference @ difference)
         if square <= 1e-6:
             continue
-        mirror = np.eye(3) - 2 * np.outer(across, across) / square
+        mirror = np.eye(3) - 2 * np.outer(difference, difference) / square
         is_new = all(np.abs(mirror - other).max() >= AXES_ALIKE for other in mirrors)
         if is_new and order_of(mirror) is not None:
             mirrors.append(mirror)
@@ -327,7 +323,7 @@ def symmetric_exchanges(vehicle: Vehicle) -> list[ColumnChange]:
 
 
 def _panels_of(observed: Observed, change: ColumnChange) -> list[tuple[int, ...]]:
-    """Return the panels whose light each column shows under a change: readings of column `columns[k]` belong to input k."""
+    """Return for each column the numbers of the panels that it shows under a change: column `columns[k]` belongs to input k."""
     inputs = observed.vehicle.inputs
     columns = change.columns or tuple(range(len(inputs)))
     shown: list[tuple[int, ...]] = [()] * len(inputs)
@@ -337,7 +333,7 @@ def _panels_of(observed: Observed, change: ColumnChange) -> list[tuple[int, ...]
 
 
 def _normals(observed: Observed, change: ColumnChange) -> np.ndarray:
-    """Return the normals (n_panel, 3) under a change."""
+    """Return the panel normals (n_panel, 3) under a change."""
     normals = np.array(observed.vehicle.panel_normals_B)
     normals[list(change.reversed_panels)] *= -1
     return normals
@@ -346,11 +342,11 @@ def _normals(observed: Observed, change: ColumnChange) -> np.ndarray:
 def _panel_maps(
     observed: Observed, first: ColumnChange, second: ColumnChange
 ) -> Iterator[tuple[np.ndarray, float]]:
-    """Yield orthogonal matrices that may map the panels of lit columns under the first change onto those under the second.
+    """Yield orthogonal matrices (3, 3) that may map the panels of lit columns under the first change onto those under the second.
 
-    With each comes the log evidence that it costs the stated errors of gains and normals, at most :data:`CLEARLY`. A column shows
-    one panel, or the sum or the largest of several on a shared input. Then assignments of these panels to those of the other change
-    are tried, :data:`MOST_ASSIGNMENTS` at most.
+    Each comes with its cost: the log evidence of the errors of gains and normals that it needs, at most :data:`CLEARLY`. A column
+    shows one panel, or the sum or the largest of several on a shared input; of these, up to :data:`MOST_ASSIGNMENTS` assignments to
+    the panels of the other change are tried. Without panels all maps of axes are possible.
     """
     vehicle = observed.vehicle
     if not observed.panels:
@@ -359,6 +355,7 @@ def _panel_maps(
         return
     lit = np.flatnonzero(observed.lit)
     first_panels, second_panels = _panels_of(observed, first), _panels_of(observed, second)
+    # a column must show as many panels under both changes, and show them in the same way: their sum or the largest
     if any(len(first_panels[k]) != len(second_panels[k]) for k in lit) or not len(lit):
         return
     shows_largest = {panel_input.panels: panel_input.largest for panel_input in vehicle.inputs}
@@ -370,19 +367,19 @@ def _panel_maps(
     # d^2 / (2 (sigma^2 + sigma^2)), as both normals have errors.
     least_sigma = NORMALS_ALIKE / np.sqrt(2 * CLEARLY) / np.sqrt(2)
     sigma = np.hypot(misalignment_sigma(vehicle)[0], least_sigma)
-    gain_sigma = np.zeros(len(vehicle.panels))
-    for shown, value in zip(vehicle.inputs, prior_sigmas(vehicle), strict=True):
-        gain_sigma[list(shown.panels)] = value
-    log_gain = np.log(vehicle.panel_gains)
+    log_gain, log_gain_sigma = np.log(vehicle.panel_gains), np.zeros(len(vehicle.panels))
+    for panel_input, value in zip(vehicle.inputs, prior_sigmas(vehicle), strict=True):
+        log_gain_sigma[list(panel_input.panels)] = value
     first_normals, second_normals = _normals(observed, first), _normals(observed, second)
+    # a, b: numbers of panels; the panel a[i] under the first change is mapped onto b[i] under the second
     a = [k for column in lit for k in first_panels[column]]
     assignments = product(*(permutations(second_panels[column]) for column in lit))
     for assigned in islice(assignments, MOST_ASSIGNMENTS):
-        b = [k for panels in assigned for k in panels]  # panel a[i] is mapped onto panel b[i]
-        # logs of gains, each with its sigma; a common factor costs nothing if only ratios of gains are known
+        b = [k for panels in assigned for k in panels]
         gain_off = log_gain[a] - log_gain[b]
-        weight = 1 / (gain_sigma[a] ** 2 + gain_sigma[b] ** 2)
-        if observed.free_scale:
+        weight = 1 / (log_gain_sigma[a] ** 2 + log_gain_sigma[b] ** 2)
+        if vehicle.throttled or vehicle.gain_unit is None:
+            # only ratios of gains are known: a common factor costs nothing
             gain_off = gain_off - np.average(gain_off, weights=weight)
         gain_cost = float(weight @ gain_off**2) / 2
         if gain_cost > CLEARLY:
@@ -397,9 +394,9 @@ def _panel_maps(
 def _procrustes(observed: Observed, start: np.ndarray, end: np.ndarray) -> Iterator[np.ndarray]:
     """Yield orthogonal matrices that map unit vectors `start` (n, 3) best onto `end` (n, 3) in least squares (Procrustes).
 
-    With the singular value decomposition U S V^T of the sum of end start^T the best is U V^T. There is one if the vectors span
-    space. In a plane a mirror across it is open, which makes two. On a line the turn about it is open: each map of axes of the body
-    is tried, bent so that it maps the line.
+    With the singular value decomposition U S V^T of the sum of end start^T the best is U V^T. It is unique if the vectors span
+    space. If they lie in a plane, a mirror across it is undetermined, and there are two. If they lie on a line, the rotation about
+    it is undetermined: each map of the axes of the body is tried, changed as little as possible so that it maps the line.
     """
     u, size, v_T = np.linalg.svd(end.T @ start)
     if size[2] > FLAT * size[0]:
@@ -413,10 +410,10 @@ def _procrustes(observed: Observed, start: np.ndarray, end: np.ndarray) -> Itera
         across_start = np.eye(3) - start_line @ start_line.T
         for m in _maps_of_axes(observed):
             mapped = end_line @ start_line.T + across_end @ m @ across_start
-            # The nearest orthogonal matrix. There is no single one if m flattens the plane across the line: then m is left out.
-            left, sizes, right = np.linalg.svd(mapped)
+            # the nearest orthogonal matrix; none is unique if m maps the plane across the line onto less than a plane
+            left, sizes, right_T = np.linalg.svd(mapped)
             if sizes[2] > FLAT:
-                yield left @ right
+                yield left @ right_T
 
 
 def _maps_of_axes(observed: Observed) -> Iterator[np.ndarray]:
@@ -429,23 +426,25 @@ def _maps_of_axes(observed: Observed) -> Iterator[np.ndarray]:
 
 
 def _stays_dark(observed: Observed, second: ColumnChange, m: np.ndarray) -> bool:
-    """Return whether panels whose columns were never lit face away from the Sun under the second change too, mapped by m."""
+    """Return whether panels whose columns were never lit also face away from the Sun, mapped by m, under the second change."""
     dark = np.flatnonzero(~observed.lit)
     if not observed.panels or not len(dark) or not len(observed.sun_B):
         return True
     shown = _panels_of(observed, second)
     panels = [k for column in dark for k in shown[column]]
+    # readings (n, panel) over full Sun
     light = observed.sun_B @ m.T @ _normals(observed, second)[panels].T
     return bool(((light > 2 * LIT_SHARE).sum(axis=0) < LIT_SAMPLES).all())
 
 
 def _inertia_cost(vehicle: Vehicle, m: np.ndarray) -> float:
-    """Return the log evidence that M Theta M^T costs in place of Theta; zero if the inertia is not known."""
+    """Return the cost of an inertia M Theta M^T instead of the stated Theta: log evidence by its sigmas; zero without an
+    inertia."""
     if vehicle.inertia_kg_m2 is None:
         return 0.0
     body = Body.of(vehicle)
     tensor = body.inertia
-    # each element has an error of its own, if any
+    # sigma of each element; exact elements get a small one
     sigma = np.maximum(np.abs(body.errors).max(axis=0, initial=0.0), 1e-6 * np.trace(tensor))
     square = ((m @ tensor @ m.T - tensor) / sigma) ** 2
     return float(square[np.triu_indices(3)].sum()) / 2
@@ -454,16 +453,20 @@ def _inertia_cost(vehicle: Vehicle, m: np.ndarray) -> float:
 def _wheel_cost(
     observed: Observed, first: ColumnChange, second: ColumnChange, m: np.ndarray
 ) -> float:
-    """Return the log evidence that wheels cost: the momentum must be det(M) M times that under the first change."""
+    """Return the log evidence of the error of the wheels' momentum that m needs: zero if it maps the momenta onto each other.
+
+    The total momentum under the second change must be det(M) M times that under the first.
+    """
     if not len(observed.momenta) or observed.vehicle.inertia_kg_m2 is None:
         return 0.0
-    totals = []
+    totals = []  # (n, 3) of each change
     for change in (first, second):
         sign = np.ones(len(observed.momenta))
         sign[list(change.reversed_wheels)] = -1
         totals.append(np.einsum("w,wni->ni", sign, observed.momenta))
     off = float(np.linalg.norm(rate_under(m, totals[0]) - totals[1], axis=1).max(initial=0.0))
-    # momenta are over the mean moment of inertia, so that a momentum of 1 rad/s turns the rate of the body by about 1 rad/s
+    # A reversed wheel is off by twice its momentum, which in mean moments is about the frequency at which it turns the rate of the
+    # body. Wheels that turn it too little are not observable.
     if off / 2 * observed.span_s < WEAK_RAD:
         return 0.0
     size = float(np.linalg.norm(observed.momenta, axis=2).max(initial=0.0))
@@ -473,29 +476,31 @@ def _wheel_cost(
 def _sensors_agree(
     observed: Observed, first: ColumnChange, second: ColumnChange, m: np.ndarray
 ) -> bool:
-    """Return whether the other sensors that were read fit both changes.
+    """Return whether the other sensors that were read fit both changes if m maps the body.
 
     A sensor does if its axes (3, 3) under the second change are those under the first, mapped by m as its readings are: directions
     by m, rates by det(m) m.
     """
-    side = float(np.linalg.det(m))  # -1 for a mirror
+    determinant = float(np.linalg.det(m))  # -1 for a mirror
     dipole = observed.vehicle.sensors.disturbance.dipole
     for name in observed.sensors:
         axes, second_axes = (change.axes.get(name, np.eye(3)) for change in (first, second))
-        mapped: list[np.ndarray] = []  # axes that fit
-        if name == "attitude_B_from_N":  # shows how the body itself turns: no other body will do
-            mapped = [np.eye(3)] if np.abs(m - np.eye(3)).max() < AXES_ALIKE else []
+        possible: list[np.ndarray] = []  # axes under the second change that fit
+        if name == "attitude_B_from_N":  # shows the attitude itself, so that only the identity fits
+            possible = [np.eye(3)] if np.abs(m - np.eye(3)).max() < AXES_ALIKE else []
         elif name == "gyro_B":
-            mapped = [side * m @ axes]
+            possible = [determinant * m @ axes]
         elif name == "sun_sensor_B":
-            mapped = [m @ axes]
-        elif not observed.in_orbit:  # a field of unknown direction in space has no sign either
-            mapped = [m @ axes, -m @ axes]
-        elif side > 0:  # with the Sun, a known field excludes mirrors
-            mapped = [m @ axes]
+            possible = [m @ axes]
+        elif (
+            not observed.in_orbit
+        ):  # a magnetometer: a field of unknown direction in space has no known sign
+            possible = [m @ axes, -m @ axes]
+        elif determinant > 0:  # with the Sun, a field of known direction excludes mirrors
+            possible = [m @ axes]
         if name == "field_B" and dipole is not None:  # the torque must be the same
             off = min(np.linalg.norm(m @ dipole - sign * dipole) for sign in (1.0, -1.0))
-            mapped = mapped if off <= AXES_ALIKE * np.linalg.norm(dipole) else []
-        if all(np.abs(candidate - second_axes).max() > AXES_ALIKE for candidate in mapped):
+            possible = possible if off <= AXES_ALIKE * np.linalg.norm(dipole) else []
+        if all(np.abs(candidate - second_axes).max() > AXES_ALIKE for candidate in possible):
             return False
     return True

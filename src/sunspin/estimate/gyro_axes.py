@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from sunspin.estimate.carry import MOST_NUTATION_RAD, nutation, step
 from sunspin.estimate.column_tests import advice_to_set, axes_matrix, signed_axes
-from sunspin.estimate.equivalence import ColumnChange, Observed, alike, column_changes
+from sunspin.estimate.equivalence import ColumnChange, Observed, column_changes, equivalent_changes
 from sunspin.estimate.model import Body
 from sunspin.estimate.observe import wheel_models
 from sunspin.estimate.wheels import momentum_of_each
@@ -86,7 +86,7 @@ def _columns_instead(vehicle: Vehicle, telemetry: xr.Dataset, matrix: np.ndarray
     gyro = ColumnChange("the gyro", axes={"gyro_B": matrix})
     wheels = next(iter(wheel_models(vehicle, telemetry)))
     observed = Observed.of(vehicle, telemetry, momenta=momentum_of_each(vehicle, telemetry, wheels))
-    same = alike(observed, gyro, column_changes(vehicle, telemetry))
+    same = equivalent_changes(observed, gyro, column_changes(vehicle, telemetry))
     if not same:
         return ""
     either = " or ".join(change.what for change, _ in same)

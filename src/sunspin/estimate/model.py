@@ -1,6 +1,7 @@
-"""What a fit believes: the body, what the equations of motion leave out, what was observed, and numbers estimated with a motion.
+"""The model that a fit assumes: body, unknown torques, observations, and the unknowns that are estimated with a motion.
 
-An alternative model is a :class:`Model` with one entry changed. Units are SI and radians; K candidates, n samples, m unknowns.
+An alternative model is a :class:`Model` with one entry changed. Units are SI and radians, but inertia and momentum are over the
+mean moment of inertia, which a torque-free motion does not determine. In shapes K is motions, n samples, m unknowns.
 """
 
 from __future__ import annotations
@@ -32,25 +33,25 @@ AS_STATED = "as stated"
 """Name of the nominal model, which is exactly as the vehicle file gives it."""
 
 THINNEST = 0.1
-"""No principal moment is less than this part of the mean one, and no second moment of the masses less than minus this."""
+"""Least principal moment of a trial inertia, in mean moments; its second moments of mass may be negative by as much."""
 
 MOST_SHRINKS, SHRINK = 10, 0.8
-"""Errors of a trial inertia that no body has are multiplied by the factor, so many times at most."""
+"""Errors of an impossible trial inertia are multiplied by SHRINK until it is possible, at most MOST_SHRINKS times."""
 
 SWINGS_PER_INTERVAL = 30.0, 2.0
-"""How often a swing that the samples do not resolve forgets itself in an interval, at most and at least."""
+"""Largest and smallest number of correlation times, in an interval, of an oscillation that the samples do not resolve."""
 
 SAMPLE_COST, READING_COST = 3.7, 1.5
-"""Cost that a sample with a Sun, and another reading of three numbers, do not exceed in the mean of a true motion."""
+"""Upper limits of the mean cost of a true motion, for each sample that shows the Sun and each other reading of three numbers."""
 
 
 @dataclass(frozen=True)
 class Unknown:
-    """A number that is estimated with the motion, in units of the sigma of what was known before.
+    """A number that is estimated with the motion, in units of the `sigma` of its prior about `centre`.
 
-    `index`: which of its `kind`; `limit`: how far (sigmas) a trial may be from the centre. `shares`: other sigmas that it may
-    have, as factors of `sigma`; equally likely, but for a lander's inertia (:mod:`sunspin.estimate.lander.model`). `doubted`:
-    an error that the vehicle file does not state; a sensor fits only without it.
+    `index`: among those of its `kind`; `limit`: largest distance (sigmas) of a trial from the centre. `shares`: sizes that the
+    sigma may have, as factors of `sigma`; equally likely, except for a lander's inertia (:mod:`sunspin.estimate.lander.model`).
+    `doubted`: an error that the vehicle file does not state; the verdict tests a sensor without it.
     """
 
     name: str
@@ -66,11 +67,11 @@ class Unknown:
 
 @dataclass(frozen=True)
 class Body:
-    """The rigid body that moves.
+    """A rigid body.
 
-    `inertia` (3, 3) in units of its mean moment, which a torque-free motion does not determine; `errors` (e, 3, 3): one sigma of
-    each independent error of it; `sphere`: no inertia is known. `wander`: one sigma of how far the body leaves a motion as the
-    inertia is held in a search, as a part of the angle that it turns.
+    `inertia` (3, 3) in units of its mean moment; `errors` (e, 3, 3): one sigma of each independent error of it; `sphere`: no
+    inertia is known. `wander`: if a search holds the inertia fixed, one sigma of the angle by which the true motion deviates, as a
+    part of the angle that the body has turned.
     """
 
     inertia: np.ndarray
@@ -82,8 +83,8 @@ class Body:
     def of(cls, vehicle: Vehicle, torques_stated: bool = False) -> Body:
         """Return the body of a vehicle; without an inertia a sphere with large errors.
 
-        `torques_stated`: the strength of unknown torques is stated, and also stands for what a body that is no sphere does. Then a
-        body without an inertia has no errors.
+        `torques_stated`: the strength of unknown torques is stated. It then also covers the nutation of a body that is no sphere,
+        and a body without an inertia has no errors.
         """
         if vehicle.inertia_kg_m2 is None:
             sigma = np.where(np.eye(3, dtype=bool), UNKNOWN_MOMENT, UNKNOWN_PRODUCT)
@@ -99,25 +100,25 @@ class Body:
         return cls(tensor / moments.mean(), _element_errors(sigma) / moments.mean())
 
     def for_search(self) -> Body:
-        """Return the body with its inertia held.
+        """Return the body with a fixed inertia, whose largest error becomes `wander`.
 
-        An error of a moment, in mean moments, changes the rate of the nutation by about this part of the rate of the body: that is
-        its `wander`. A body without an inertia stays a sphere: other shapes are tried after the search (`starts.other_bodies`).
+        An error of a moment, in mean moments, changes the rate of the nutation by about this part of the rate of the body. A body
+        without an inertia stays a sphere: other shapes are tried after the search (`starts.other_bodies`).
         """
         wander = 0.0 if self.sphere else float(np.abs(self.errors).max(initial=0.0))
         return replace(self, errors=self.errors[:0], wander=wander)
 
     def inertia_at(self, u: np.ndarray) -> np.ndarray:
-        """Return the inertia (K, 3, 3) for errors u (K, e) in sigmas; (3, 3) if it is known exactly."""
+        """Return the inertia (K, 3, 3) for errors u (K, e) in sigmas; (3, 3) if the body has no errors."""
         if not len(self.errors):
             return self.inertia
         return self.inertia + np.einsum("ke,eij->kij", u, self.errors)
 
-    def possible(self, u: np.ndarray) -> np.ndarray:
-        """Return errors (K, e) in sigmas of bodies that are possible: made smaller where no body has the inertia, else as they are.
+    def possible_errors(self, u: np.ndarray) -> np.ndarray:
+        """Return errors u (K, e) in sigmas, reduced if no rigid body can have the inertia that they make.
 
-        A principal moment is positive and at most the sum of the other two. Equivalently the second moments of the masses, trace(I)
-        / 2 - I, are positive. Slightly negative ones are allowed, as a stated tensor has errors.
+        Each principal moment is positive and at most the sum of the other two. Equivalently the second moments of mass, the
+        eigenvalues of trace(I) / 2 - I, are positive. Slightly negative ones are allowed, as a stated tensor has errors.
         """
         u = u.copy()
         for _ in range(MOST_SHRINKS if u.size else 0):
@@ -134,7 +135,7 @@ class Body:
 
     @property
     def unknowns(self) -> tuple[Unknown, ...]:
-        """Return the errors of the inertia; without an inertia they have one of two sizes, which evidence chooses."""
+        """Return the errors of the inertia as unknowns; without an inertia their sigmas have one of two sizes, by the evidence."""
         sizes = np.linalg.norm(self.errors, axis=(1, 2))
         shares = UNKNOWN_SHARES if self.sphere else (1.0,)
         return tuple(
@@ -144,20 +145,20 @@ class Body:
 
 
 def _element_errors(sigma: np.ndarray) -> np.ndarray:
-    """Return symmetric tensors (e, 3, 3) with the sigma (3, 3) of one element each; elements that are known exactly have none."""
+    """Return symmetric tensors (e, 3, 3), each with the sigma of one element of `sigma` (3, 3); none for exact elements."""
     i, j = np.nonzero(np.triu(sigma > 0))
     errors = np.zeros((len(i), 3, 3))
-    each = np.arange(len(i))
-    errors[each, i, j] = errors[each, j, i] = sigma[i, j]
+    e = np.arange(len(i))
+    errors[e, i, j] = errors[e, j, i] = sigma[i, j]
     return errors
 
 
 @dataclass(frozen=True)
 class Noise:
-    """What the equations of motion leave out: white angular acceleration of the strength `acceleration`, rad/s^1.5.
+    """Unknown torques: white angular acceleration of the strength `acceleration`, rad/s^1.5, and what else disturbs a motion.
 
-    `rate` (rad/s^0.5): white noise of the rate, a swing too quick for the samples: the attitude wanders, the mean rate does not.
-    `steps`: intervals between samples in which the rate changes at once, each with one sigma of the change (rad/s).
+    `rate` (rad/s^0.5): white noise of the rate, which stands for an oscillation too fast for the samples: it changes the attitude
+    and not the mean rate. `steps`: intervals between samples with a sudden change of the rate, each with its sigma (rad/s).
     """
 
     acceleration: float
@@ -165,9 +166,9 @@ class Noise:
     steps: tuple[tuple[int, float], ...] = ()
 
     def in_intervals(self, dt: np.ndarray) -> np.ndarray:
-        """Return the strength (n - 1) in each interval dt (n - 1).
+        """Return the strength (n - 1) of the acceleration in each interval dt (n - 1), s, steps of the rate included.
 
-        A step of the rate with the sigma s counts as torques there: in the time dt the strength q changes the rate by q sqrt(dt).
+        In the time dt the strength q changes the rate by q sqrt(dt), so that a step with the sigma s adds s^2 / dt to q^2.
         """
         square = np.full(len(dt), self.acceleration**2)
         for interval, sigma in self.steps:
@@ -175,10 +176,10 @@ class Noise:
         return np.sqrt(square)
 
     def hidden_variance(self, dt: np.ndarray) -> float:
-        """Return the variance (rad2/s2) of a component of the rate at an instant about the mean rate between samples.
+        """Return the variance (rad2/s2) of a component of the rate at an instant about the mean rate between samples dt (n), s.
 
-        A rate that forgets itself in the time T (Ornstein and Uhlenbeck) and makes the attitude wander by `rate` has the variance
-        rate^2 / (2 T). In the mean over T, log-uniform, as often per interval dt as :data:`SWINGS_PER_INTERVAL` says.
+        An Ornstein-Uhlenbeck rate with the correlation time T that changes the attitude as `rate` does has the variance
+        rate^2 / (2 T). This is averaged over T: dt / T is log-uniform between the :data:`SWINGS_PER_INTERVAL`.
         """
         most, least = SWINGS_PER_INTERVAL
         mean_count = (most - least) / np.log(most / least)  # the mean of dt / T
@@ -187,7 +188,7 @@ class Noise:
 
 @dataclass(frozen=True)
 class Observations:
-    """What n samples show: times `t_s` (n), `momentum` (n, 3) of the wheels in mean moments times rad/s, and terms of sensors.
+    """Samples of a pass or a file: times `t_s` (n), total momentum of the wheels (n, 3) in mean moments times rad/s, and `terms`.
 
     `time_sigma_s`: one sigma of the error of each time, independent from sample to sample.
     """
@@ -202,26 +203,27 @@ class Observations:
         return len(self.t_s)
 
     def take(self, samples: Any) -> Observations:
-        """Return some of the samples, by index or slice."""
+        """Return some of the samples, by indices or slice."""
         terms = tuple(term.take(samples) for term in self.terms)
         return Observations(self.t_s[samples], self.momentum[samples], terms, self.time_sigma_s)
 
     def of_pass(self, samples: Any) -> Observations:
-        """Return some of the samples, those of one pass, in which the unknowns of the terms are constant."""
+        """Return the samples of one pass, by indices or slice; the unknowns of its terms are constant in it (`Term.of_pass`)."""
         taken = self.take(samples)
         return replace(taken, terms=tuple(term.of_pass(taken.t_s) for term in taken.terms))
 
     def with_time_errors(self, motion: States) -> Observations:
-        """Return the samples with the errors of their times added to those of the readings, for a body that moves so (K = 1).
-
-        In the time sigma a body turns the Sun by |omega x sun| times it, and any other direction by |omega| times it at most.
-        """
+        """Return the samples with the errors of their times added to those of the readings, for a body with this motion (K = 1)."""
         of_sun, of_body = self.turned_in_time_sigma(motion)
         terms = (term.loosened(of_sun if term.of_sun else of_body, 0.0) for term in self.terms)
         return replace(self, terms=tuple(terms), time_sigma_s=0.0)
 
     def turned_in_time_sigma(self, motion: States) -> tuple[np.ndarray, np.ndarray]:
-        """Return by how much a motion (K = 1) turns the Sun in the body, and the body, in one sigma of the times (n), rad."""
+        """Return the angles (n) and (n), rad, by which a motion (K = 1) turns the Sun direction and the body in a sigma of the
+        times.
+
+        The rates are |omega x sun| and |omega|, the most by which any other direction turns.
+        """
         omega, sun = motion.omega[0], motion.sun_B[0]
         sizes = (np.linalg.norm(vector, axis=1) for vector in (np.cross(omega, sun), omega))
         of_sun, of_body = (self.time_sigma_s * size for size in sizes)
@@ -229,28 +231,28 @@ class Observations:
 
     @cached_property
     def sees_sun(self) -> np.ndarray:
-        """Return whether each sample (n) shows something of the Sun's direction."""
+        """Return whether each sample (n) has a reading of the Sun, by panels or Sun sensors."""
         seeing = [term.present() for term in self.terms if term.of_sun]
         return np.logical_or.reduce([np.zeros(len(self), dtype=bool), *seeing])
 
     @cached_property
     def only_sun(self) -> bool:
-        """Return whether no sensor but the Sun's reads anything."""
+        """Return whether only the Sun was read, and no other sensor."""
         return not any(term.present().any() for term in self.terms if not term.of_sun)
 
     @cached_property
     def cost_limit(self) -> float:
-        """Return the cost that a true motion does not exceed."""
+        """Return the cost that a true motion does not exceed: a fit that costs more does not fit."""
         others = sum(int(term.present().sum()) for term in self.terms if not term.of_sun)
         return SAMPLE_COST * int(self.sees_sun.sum()) + READING_COST * others
 
 
 @dataclass(frozen=True)
 class Model:
-    """What a fit believes: readings, body, what the equations of motion leave out, and the prior of the rate.
+    """The model that a fit assumes: observations, body, unknown torques, and the prior of the rate.
 
-    `rate_sigma` (rad/s): sigma of each component of the rate before the data. `log_prior`: relative to that of the nominal model;
-    `what` it changes, in words.
+    `rate_sigma` (rad/s): prior sigma of each component of the rate at the first sample. `what`: in words, the change from the
+    nominal model; `log_prior`: log of its prior probability relative to that model.
     """
 
     obs: Observations
@@ -262,7 +264,7 @@ class Model:
 
     @cached_property
     def unknowns(self) -> tuple[Unknown, ...]:
-        """Return all numbers that are estimated with a motion: those of the body, then those of each term."""
+        """Return the unknowns, the numbers that are estimated with a motion: those of the body, then those of each term."""
         return (*self.body.unknowns, *(u for term in self.obs.terms for u in term.unknowns()))
 
     @property
@@ -272,15 +274,15 @@ class Model:
 
     @property
     def inertia_slice(self) -> slice:
-        """Return where the errors of the inertia stand among the unknowns: they come first."""
+        """Return the slice of the errors of the inertia among the unknowns: they come first."""
         return slice(0, len(self.body.errors))
 
     @cached_property
     def term_slices(self) -> tuple[slice, ...]:
-        """Return where the unknowns of each term stand among those of the model."""
+        """Return the slice of the unknowns of each term among those of the model."""
         counts = [len(self.body.errors), *(len(term.unknowns()) for term in self.obs.terms)]
-        ends = np.cumsum(counts)
-        return tuple(slice(int(a), int(b)) for a, b in zip(ends[:-1], ends[1:], strict=True))
+        ends = np.cumsum(counts).tolist()
+        return tuple(slice(a, b) for a, b in zip(ends[:-1], ends[1:], strict=True))
 
     @cached_property
     def terms_with_slices(self) -> tuple[tuple[Term, slice], ...]:
@@ -288,44 +290,45 @@ class Model:
         return tuple(zip(self.obs.terms, self.term_slices, strict=True))
 
     def seeing(self, samples: Any) -> Model:
-        """Return the model of some of the samples."""
+        """Return the model of some of the samples, by indices or slice."""
         return replace(self, obs=self.obs.take(samples))
 
     def with_momentum(self, momentum: np.ndarray) -> Model:
-        """Return the model with wheels of this momentum (n, 3)."""
+        """Return the model with another momentum (n, 3) of the wheels."""
         return replace(self, obs=replace(self.obs, momentum=momentum))
 
     def under(self, acceleration: float) -> Model:
-        """Return the model with another strength of unknown torques (rad/s^1.5), and its steps of the rate."""
+        """Return the model under another strength of unknown torques (rad/s^1.5); steps of the rate stay."""
         return replace(self, noise=replace(self.noise, acceleration=acceleration))
 
     def plus(self, term: Term, what: str) -> Model:
-        """Return the model with one more term, as probable before the data."""
+        """Return the model with one more term, with the same prior probability; `what` it adds, in words."""
         return replace(self, obs=replace(self.obs, terms=(*self.obs.terms, term)), what=what)
 
     def for_search(self, noise: Noise) -> list[Model]:
-        """Return the model without unknowns, whose errors are added to the noise of the readings; `noise`: unknown torques.
+        """Return models for the search, under unknown torques `noise`: errors of the unknowns are added to the noise of the
+        readings.
 
-        There are several models if readings may mean several things (`Term.for_search`).
+        There are several models if readings have several possible meanings (`Term.for_search`).
         """
         body = self.body.for_search()
-        meanings = product(*(term.for_search() for term in self.obs.terms))
+        combinations_of_terms = product(*(term.for_search() for term in self.obs.terms))
         return [
             replace(self, obs=replace(self.obs, terms=terms), body=body, noise=noise)
-            for terms in meanings
+            for terms in combinations_of_terms
         ]
 
 
 @dataclass(frozen=True)
 class States:
-    """K motions at n samples: attitudes B_from_N (K, n, 3, 3) and rates (K, n, 3) in rad/s, body axes."""
+    """K motions at n samples: attitudes B_from_N (K, n, 3, 3) and rates `omega` (K, n, 3) in rad/s, body axes."""
 
     attitude: np.ndarray
     omega: np.ndarray
 
     @property
     def sun_B(self) -> np.ndarray:
-        """Return the directions to the Sun (K, n, 3)."""
+        """Return the Sun directions (K, n, 3) in body axes."""
         return self.attitude @ SUN_N
 
 
@@ -333,8 +336,8 @@ class States:
 class Track(States):
     """K motions with their unknowns u (K, m) in sigmas.
 
-    After a fit also their `cost` (K), minus the log of the posterior density, and the `covariance` (K, n, 6, 6) of turn (rad, B)
-    and rate at each sample.
+    After a fit they have a `cost` (K), minus the log of the posterior density, and the `covariance` (K, n, 6, 6) of turn (rotation
+    vector in body axes, rad) and rate (rad/s) at each sample; both are empty before.
     """
 
     u: np.ndarray
@@ -347,13 +350,13 @@ class Track(States):
 
     @classmethod
     def free(cls, attitude: np.ndarray, omega: np.ndarray) -> Track:
-        """Return motions without unknowns that no fit has seen."""
+        """Return motions that were not fitted: without unknowns, cost and covariance."""
         return cls(attitude, omega, np.zeros((len(omega), 0)))
 
     def take(self, which: Any) -> Track:
-        """Return some of the motions."""
-        fitted = (part[which] if len(part) else part for part in (self.cost, self.covariance))
-        return Track(self.attitude[which], self.omega[which], self.u[which], *fitted)
+        """Return some of the motions, by indices or slice."""
+        of_fit = (part[which] if len(part) else part for part in (self.cost, self.covariance))
+        return Track(self.attitude[which], self.omega[which], self.u[which], *of_fit)
 
     @staticmethod
     def joined(tracks: Sequence[Track]) -> Track:

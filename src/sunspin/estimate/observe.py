@@ -1,4 +1,4 @@
-"""From telemetry to what a fit sees: terms at all samples, passes, the samples that the search keeps, and wheels."""
+"""From telemetry to what a fit sees: terms of sensors and torques at all samples, passes, and the momentum of the wheels."""
 
 from __future__ import annotations
 
@@ -30,24 +30,24 @@ if TYPE_CHECKING:
     from sunspin.estimate.orbit.calibration import FieldCalibration
 
 ALONE = "dropped: fewer than three samples between gaps (in no pass)"
-NOT_ASKED = "dropped: in another pass than the one asked for"
+NOT_SELECTED = "dropped: in another pass than the one asked for"
 
 FIELD = "field"
-"""Where directions come from without a Sun: a magnetometer."""
+"""Source of directions if a magnetometer stands for the Sun."""
 
-FIELD_ALONE = "used: the field alone; "
-"""Begin of what is said of a sample without a Sun whose field an orbit makes a direction."""
+FIELD_ONLY = "used: the field alone; "
+"""Prefix to the status of a sample that shows no Sun but a field whose direction in space an orbit gives."""
 
-NOT_SEEN = ("dropped: no panel lit", IDLE, EMPTY, UNREAD)
-"""What is said of samples whose only fault is that they show no Sun."""
+NO_SUN = ("dropped: no panel lit", IDLE, EMPTY, UNREAD)
+"""Statuses of samples that are dropped only because they show no Sun."""
 
 MEASURED = "measured"
 HELD = "held at the nominal speed"
 COASTING = "coasting from the nominal speed at the first sample"
 
 TIME_UNITS_S, NEAR_UNIT = (1.0, 0.1), 1e-3
-"""Units to which times may have been rounded, s, the coarsest first; and how near to a multiple times are, in units: single digits
-of milliseconds may be lost on the way."""
+"""Units to which times may have been rounded, s, the coarsest first; and tolerance of multiples, in units: the last digit of
+milliseconds may be lost on the way."""
 
 COAST_FROM = "coast_from_s"
 """Attribute of samples that were cut out of a file: time of the file's first sample, from which its wheels may coast."""
@@ -55,7 +55,7 @@ COAST_FROM = "coast_from_s"
 
 @dataclass(frozen=True)
 class FileReadings:
-    """What all samples of a file show; `why` (n): what became of each, in words; `source`: where the Sun comes from."""
+    """What all samples of a file show; `why` (n): status of each ("used" or "dropped", and why); `source` of the Sun directions."""
 
     obs: Observations
     why: np.ndarray
@@ -68,17 +68,17 @@ class FileReadings:
 
     @property
     def usable(self) -> np.ndarray:
-        """Indices of the samples that show the Sun, or a field whose direction is known, and are not dropped."""
+        """Return the indices of samples that are not dropped and show the Sun, or a field of known direction in space."""
         dropped = np.array([text.startswith("dropped") for text in self.why])
-        field_alone = np.array([text.startswith(FIELD_ALONE) for text in self.why])
-        return np.flatnonzero((self.obs.sees_sun | field_alone) & ~dropped)
+        field_only = np.array([text.startswith(FIELD_ONLY) for text in self.why])
+        return np.flatnonzero((self.obs.sees_sun | field_only) & ~dropped)
 
 
 @dataclass(frozen=True)
 class Pass:
     """A stretch of samples without a long gap.
 
-    `samples` (n): their indices in the file; `kept`: of those that the search uses; `number` of the pass, counted from zero.
+    `samples` (n): their indices in the file; `kept`: indices in the file of those that the search uses; `number`: from zero.
     """
 
     samples: np.ndarray
@@ -87,7 +87,7 @@ class Pass:
 
     @property
     def kept_in_pass(self) -> np.ndarray:
-        """Indices of the kept samples among those of the pass."""
+        """Return the indices of the kept samples among those of the pass."""
         return np.searchsorted(self.samples, self.kept)
 
 
@@ -98,10 +98,11 @@ def observe(
     calibration: FieldCalibration | None = None,
     torques: Acting = NOTHING,
 ) -> FileReadings:
-    """Return what all samples of a file show: terms, what became of each sample in words, and where the Sun comes from.
+    """Return the terms of all samples of a file, the status of each sample in words, and the source of the Sun directions.
 
     `source`: "directions", "sun_sensor" or "panels"; default: the first of these that the telemetry has, else the magnetometer.
-    `local`: the environment, with z of its N to the Sun; `calibration`: of the magnetometer along its orbit; `torques` that act.
+    `local`: the environment in axes N with z to the Sun; `calibration`: of the magnetometer along its orbit; `torques` that act.
+    The momentum of the wheels is left at zero (:func:`wheel_models`).
     """
     vehicle, telemetry, sensors = assessment.vehicle, assessment.telemetry, assessment.sensors
     has_field = calibration is not None or reads_directions(vehicle, telemetry)
@@ -119,17 +120,17 @@ def observe(
     else:
         why = np.full(len(t_s), UNREAD, dtype=object)
 
-    # A magnetometer: its directions if the field is known in space, else the change of the field between neighbours.
-    fields = FieldChange.read(vehicle, sensors)
-    known = None
+    # A magnetometer shows directions if the field is known in space, else the change of the field between neighbouring samples.
+    field_change = FieldChange.read(vehicle, sensors)
+    known_field = None
     field_is_known = surroundings is not None and surroundings.field_N is not None
-    if fields is not None and calibration is not None and field_is_known:
-        known = KnownField.of(fields, surroundings, calibration)
-        # a sample that is not used only since it shows no Sun still shows the direction of the field
-        for k in np.flatnonzero(known.present() & np.isin(why, NOT_SEEN)):
-            why[k] = FIELD_ALONE + why[k].removeprefix("dropped: ")
-    elif fields is not None:
-        fields = fields.with_own_zero()
+    if field_change is not None and calibration is not None and field_is_known:
+        known_field = KnownField.of(field_change, surroundings, calibration)
+        # samples that were dropped only because they show no Sun are used after all
+        for k in np.flatnonzero(known_field.present() & np.isin(why, NO_SUN)):
+            why[k] = FIELD_ONLY + why[k].removeprefix("dropped: ")
+    elif field_change is not None:
+        field_change = field_change.with_own_zero()
     if source != "panels":
         why[assessment.repeats.frozen] = STALE
     why[find_late_frames(telemetry)] = LATE
@@ -139,21 +140,24 @@ def observe(
         sun,
         GyroRates.read(vehicle, sensors),
         RateMagnitudes.read(vehicle, sensors),
-        None if isinstance(sun, FieldDirection) else known or fields,
+        None if isinstance(sun, FieldDirection) else known_field or field_change,
         AttitudeChange.read(vehicle, sensors),
-        *_torques(vehicle, t_s, fields, surroundings, torques),
+        *_torques(vehicle, t_s, field_change, surroundings, torques),
         None if clock is None else Latency(clock.late_s, clock.sigma_s),
     )
     terms = [term for term in terms if term is not None]
-    obs = Observations(t_s, np.zeros((len(t_s), 3)), tuple(terms), rounded_to_s(t_s) / np.sqrt(12))
+    # an error that is uniform over the unit has the variance unit^2 / 12
+    time_sigma_s = rounded_to_s(t_s) / np.sqrt(12)
+    obs = Observations(t_s, np.zeros((len(t_s), 3)), tuple(terms), time_sigma_s)
     return FileReadings(obs, why, source)
 
 
 def rounded_to_s(t_s: np.ndarray) -> float:
-    """Return the unit (s) to which times (n) were rounded, zero if they are exact; the error is uniform over the unit.
+    """Return the unit (s) to which times (n) seem to be rounded, zero if they count as exact.
 
-    They were if all of them are whole multiples of a unit from the first one, and no larger unit divides all intervals: a device
-    that samples every 10 s and was rounded shows 10 and 11 s. Samples at a fixed interval, also with gaps, are taken as exact.
+    They are rounded if all intervals are whole multiples of the unit, above one, and have no larger common divisor: the rounded
+    times of a device that samples every 10.3 s have intervals of 10 and 11 s. Samples at a fixed interval, also with gaps, are
+    exact.
     """
     intervals = np.diff(np.unique(t_s))
     for unit in TIME_UNITS_S:
@@ -167,19 +171,23 @@ def rounded_to_s(t_s: np.ndarray) -> float:
 def _torques(
     vehicle: Vehicle,
     t_s: np.ndarray,
-    fields: FieldChange | None,
+    field_change: FieldChange | None,
     surroundings: Surroundings | None,
     torques: Acting,
 ) -> list[Term]:
-    """Return the torques of a stated or an unknown dipole if the field is measured or known, and those that are named."""
+    """Return the terms of the torques: of a magnetic dipole if a field is measured or known, and of the gravity gradient if it
+    acts.
+
+    There is one dipole: the stated one in the measured field, else an unknown one in the orbit's field, else in an unknown field.
+    """
     terms: list[Term] = []
     dipole = vehicle.sensors.disturbance.dipole
-    # one dipole: the stated one in the field as read, else an unknown one in the orbit's field, else in an unknown field
-    if dipole is not None and fields is not None and np.isfinite(fields.field_B).any():
-        terms.append(StatedDipole(np.asarray(dipole), np.nan_to_num(fields.field_B)))
+    field_B = None if field_change is None else field_change.field_B
+    if dipole is not None and field_B is not None and np.isfinite(field_B).any():
+        terms.append(StatedDipole(np.asarray(dipole), np.nan_to_num(field_B)))
     elif surroundings is not None and surroundings.field_N is not None:
         terms.append(MagneticTorque.in_field(surroundings.field_N))
-    elif fields is not None:
+    elif field_B is not None:
         terms.append(MagneticTorque.in_field(None))
     if torques.needs_attitude:
         assert surroundings is not None and surroundings.nadir_N is not None
@@ -191,7 +199,10 @@ def _torques(
 
 
 def _source(telemetry: xr.Dataset, wanted: str | None, has_field: bool) -> str:
-    """Return where the Sun comes from; :data:`FIELD` without a Sun, if the directions of a magnetometer are of use."""
+    """Return the source of the Sun directions: the `wanted` one, or the first that the telemetry has.
+
+    Without any it is :data:`FIELD` if `has_field`: directions of a magnetometer can stand for the Sun. Else raise InputError.
+    """
     has = {
         "directions": "sun_B" in telemetry and "sun_cov_B" in telemetry,
         "sun_sensor": "sun_sensor_B" in telemetry,
@@ -201,7 +212,7 @@ def _source(telemetry: xr.Dataset, wanted: str | None, has_field: bool) -> str:
     if wanted in (None, FIELD) and has_field:
         return FIELD
     if wanted is None or not has.get(wanted, False):
-        exist = ", ".join(name for name, exists in has.items() if exists)
+        available = ", ".join(name for name, exists in has.items() if exists)
         if wanted is None and "field_B" in telemetry:
             raise InputError(
                 "the telemetry has no Sun",
@@ -210,44 +221,48 @@ def _source(telemetry: xr.Dataset, wanted: str | None, has_field: bool) -> str:
             )
         raise InputError(
             f"the telemetry has no Sun from {wanted or 'panels or Sun sensors'}",
-            got=exist or "nothing of the Sun",
+            got=available or "nothing of the Sun",
             do=f"use {', '.join(has)}",
         )
     return wanted
 
 
 def split_passes(readings: FileReadings, gap_s: float | None, s: PassSettings) -> list[Pass]:
-    """Return the passes of a file: parted by gaps, and cut if they are too long; of each the samples that the search keeps.
+    """Return the passes of a file: separated by long gaps, cut if they are too long, each with the samples that the search keeps.
 
-    Over a gap that nobody stated a pass goes on if a magnetometer was read in it. Pieces of less than three samples are left out.
+    A gap is long if it exceeds `gap_s`, by default `s.gap_intervals` median intervals. With the default a pass also continues over
+    a gap in which a magnetometer was read. Pieces of less than three samples are left out; raise InputError if no pass is left.
     """
-    use = readings.usable  # indices
-    if len(use) < 3:
+    usable = readings.usable
+    if len(usable) < 3:
         raise InputError(
             "fewer than three samples say where the Sun is",
-            got=f"{len(use)} of {len(readings.why)}",
+            got=f"{len(usable)} of {len(readings.why)}",
             do=_why_unused(readings),
         )
-    t_s = readings.obs.t_s
-    usual = float(np.median(np.diff(t_s[use])))
-    gap = s.gap_intervals * usual if gap_s is None else gap_s
-    ends = np.flatnonzero(np.diff(t_s[use]) > gap)  # places in `use` of the last samples of passes
-    compared = [term for term in readings.obs.terms if isinstance(term, FieldChange)]
-    fields = [term for term in compared if term.present().any()]
-    if fields and gap_s is None:
-        read = t_s[np.isfinite(fields[0].field_B).all(axis=1)]
-        ends = [k for k in ends if not _goes_on(read, t_s[use[k]], t_s[use[k + 1]], gap, s)]
-    # Passes are cut shorter if the field's direction is unknown, as it turns unevenly over a long pass; and in a known field if a
+    t_s = readings.obs.t_s[usable]
+    median_s = float(np.median(np.diff(t_s)))
+    gap = s.gap_intervals * median_s if gap_s is None else gap_s
+    # indices among the usable samples of those after which a pass ends
+    ends = np.flatnonzero(np.diff(t_s) > gap)
+    # readings of a field whose direction in space is unknown
+    magnetometers = [term for term in readings.obs.terms if isinstance(term, FieldChange)]
+    field_changes = [term for term in magnetometers if term.present().any()]
+    if field_changes and gap_s is None:
+        field_s = readings.obs.t_s[np.isfinite(field_changes[0].field_B).all(axis=1)]
+        ends = [k for k in ends if not _field_bridges(field_s, t_s[k], t_s[k + 1], gap, s)]
+    # Passes are cut shorter if the field's direction is unknown, as it rotates unevenly over a long pass; and in a known field if a
     # pass would have so many samples that the search keeps too few of them.
-    known = any(isinstance(term, KnownField) for term in readings.obs.terms)
-    many = known and s.longest_s > s.many * usual
-    longest = s.longest_field_s if fields or many else s.longest_s
+    known_field = any(isinstance(term, KnownField) for term in readings.obs.terms)
+    too_many = known_field and s.longest_s > s.most_in_field * median_s
+    longest = s.longest_field_s if field_changes or too_many else s.longest_s
     passes = []
-    for part in np.split(use, np.asarray(ends, dtype=int) + 1):
+    for part in np.split(np.arange(len(usable)), np.asarray(ends, dtype=int) + 1):
+        # equal durations of at most the longest
         duration = t_s[part[-1]] - t_s[part[0]]
         pieces = max(1, int(np.ceil(duration / longest)))
         edges = t_s[part[0]] + np.arange(1, pieces) * duration / pieces
-        for piece in np.split(part, np.searchsorted(t_s[part], edges)):
+        for piece in np.split(usable[part], np.searchsorted(t_s[part], edges)):
             if len(piece) >= 3:
                 dense_from = _dense_from(readings.obs.sees_sun[piece], s)
                 kept = piece[thinned(len(piece), s, dense_from)]
@@ -259,8 +274,8 @@ def split_passes(readings: FileReadings, gap_s: float | None, s: PassSettings) -
     return passes
 
 
-def passes_asked_for(passes: Sequence[Pass], pass_id: int | None) -> list[Pass]:
-    """Return the passes that are estimated: the one with this number, or all. Raises InputError if there is none."""
+def select_passes(passes: Sequence[Pass], pass_id: int | None) -> list[Pass]:
+    """Return the passes to estimate: the one with the number `pass_id`, or all. Raise InputError if there is no such pass."""
     if pass_id is None:
         return list(passes)
     whole = isinstance(pass_id, int | np.integer) and not isinstance(pass_id, bool)
@@ -274,23 +289,23 @@ def passes_asked_for(passes: Sequence[Pass], pass_id: int | None) -> list[Pass]:
 def with_unused_samples(
     readings: FileReadings, passes: Sequence[Pass], estimated: Sequence[Pass]
 ) -> FileReadings:
-    """Return the readings with the reason of samples that show the Sun but are in no pass, or in one that is not `estimated`."""
+    """Return the readings with the status of samples that show the Sun but are in no pass, or in one that is not `estimated`."""
     why = readings.why.copy()
     in_a_pass = np.concatenate([a_pass.samples for a_pass in passes])
     why[np.setdiff1d(readings.usable, in_a_pass)] = ALONE
     for left_out in set(range(len(passes))) - {a_pass.number for a_pass in estimated}:
-        why[passes[left_out].samples] = NOT_ASKED
+        why[passes[left_out].samples] = NOT_SELECTED
     return replace(readings, why=why)
 
 
-def _goes_on(
-    read_s: np.ndarray, start_s: float, end_s: float, gap_s: float, s: PassSettings
+def _field_bridges(
+    field_s: np.ndarray, start_s: float, end_s: float, gap_s: float, s: PassSettings
 ) -> bool:
-    """Return whether the field was read without a gap between two samples that show the Sun, so that the pass goes on.
+    """Return whether the field was read without a long gap between two samples that show the Sun, so that a pass continues.
 
-    A body with few panels turns them away from the Sun for a while. `read_s`: times of all readings of the field.
+    A body with few panels turns them away from the Sun for a while. `field_s`: times of all readings of the field.
     """
-    between = read_s[(read_s >= start_s) & (read_s <= end_s)]
+    between = field_s[(field_s >= start_s) & (field_s <= end_s)]
     short = end_s - start_s < s.longest_dark_s
     return short and len(between) > 1 and bool(np.diff(between).max() <= gap_s)
 
@@ -298,119 +313,122 @@ def _goes_on(
 def _dense_from(sees_sun: np.ndarray, s: PassSettings) -> int:
     """Return the sample of a pass around which the kept samples are close together; `sees_sun` (n): which samples show the Sun.
 
-    It is the first sample if half of the next `s.dense` show the Sun. Else, as in a pass that begins in the shadow, it is the one
-    of whose next `s.dense` most do.
+    It is the first sample if half of the `s.dense` samples from it on show the Sun. Else, as in a pass that begins in the Earth's
+    shadow, it is the sample from which on most of `s.dense` do.
     """
-    if len(sees_sun) <= s.kept:
+    if len(sees_sun) <= s.most_kept:
         return 0
-    count_of_next = np.convolve(sees_sun, np.ones(s.dense))[s.dense - 1 :]
-    return 0 if count_of_next[0] >= s.dense / 2 else int(np.argmax(count_of_next))
+    # of each sample: how many of `s.dense` samples from it on show the Sun
+    sunlit = np.convolve(sees_sun, np.ones(s.dense))[s.dense - 1 :]
+    return 0 if sunlit[0] >= s.dense / 2 else int(np.argmax(sunlit))
 
 
 def thinned(count: int, s: PassSettings, dense_from: int = 0) -> np.ndarray:
-    """Return the indices of at most `s.kept` of `count` samples.
+    """Return the indices of at most `s.most_kept` of `count` samples, close together at `dense_from`, farther apart on both sides.
 
-    They are close together at `dense_from`, where the rate is determined first, then ever farther apart to both sides. Each step is
-    at most `s.growth` times the one before, so that what is known of the rate predicts the next sample. Of all ways to share the
-    samples between the two sides the one whose widest step is smallest is taken. If none reaches both ends, steps grow from the
-    first sample on; in a very long pass they end before the last.
+    The search determines the rate at `dense_from` first. Each step is at most `s.growth` times the one before, so that the rate
+    known so far predicts the next sample. Of all ways to divide the samples between the two sides the one with the smallest largest
+    step is taken. If none reaches both ends, steps grow from the first sample on; in a very long pass they end before the last.
     """
-    if count <= s.kept:
+    if count <= s.most_kept:
         return np.arange(count)
     after, before = np.arange(dense_from, count), np.arange(dense_from, -1, -1)
-    # from the first sample on: if `dense_from` is 0, or no shares reach both ends
-    smallest_widest, best = np.inf, _growing(np.arange(count), s.kept, s.growth)
-    for kept_before in range(2, s.kept) if dense_from else ():
-        kept_after = s.kept + 1 - kept_before  # `dense_from` is on both sides
-        sides = _growing(after, kept_after, s.growth), _growing(before, kept_before, s.growth)
-        # steps that grow to both sides do not reach the ends of a very long pass
-        if sides[0][-1] == count - 1 and sides[1][-1] == 0:
-            widest = max(np.abs(np.diff(side)).max(initial=0) for side in sides)
-            if widest < smallest_widest:
-                smallest_widest, best = widest, np.unique(np.concatenate(sides))
+    # from the first sample on: if `dense_from` is 0, or no division reaches both ends
+    least_step, best = np.inf, _in_growing_steps(np.arange(count), s.most_kept, s.growth)
+    for kept_before in range(2, s.most_kept) if dense_from else ():
+        kept_after = s.most_kept + 1 - kept_before  # `dense_from` is on both sides
+        later = _in_growing_steps(after, kept_after, s.growth)
+        earlier = _in_growing_steps(before, kept_before, s.growth)
+        if later[-1] == count - 1 and earlier[-1] == 0:
+            largest_step = max(np.abs(np.diff(side)).max(initial=0) for side in (later, earlier))
+            if largest_step < least_step:
+                least_step, best = largest_step, np.unique(np.concatenate([later, earlier]))
     return best
 
 
-def _growing(indices: np.ndarray, most: int, growth: float) -> np.ndarray:
-    """Return at most `most` of some indices, the first among them, in steps of 1, growth, growth^2, ... up to a bound.
+def _in_growing_steps(indices: np.ndarray, most: int, growth: float) -> np.ndarray:
+    """Return at most `most` of some indices, from the first on in steps of 1, growth, growth^2, ... up to a largest step.
 
-    The bound is the smallest with which the steps reach the last index; with none that does, they end before it.
+    The largest step is the smallest with which they reach the last index; if none does, they end before it.
     """
     if len(indices) <= most:
         return indices
     growing = growth ** np.arange(most - 1)
+    # bisection for the largest step
     low, high = 1.0, float(len(indices))
-    # bisection for the smallest bound of the steps with which they reach the end
     for _ in range(60):
-        bound = (low + high) / 2
-        reaches = np.minimum(growing, bound).sum() >= len(indices) - 1
-        low, high = (low, bound) if reaches else (bound, high)
+        middle = (low + high) / 2
+        reaches = np.minimum(growing, middle).sum() >= len(indices) - 1
+        low, high = (low, middle) if reaches else (middle, high)
     taken = np.concatenate([[0.0], np.cumsum(np.minimum(growing, high))])
     return indices[np.unique(np.minimum(np.round(taken), len(indices) - 1).astype(int))]
 
 
 def _why_unused(readings: FileReadings) -> str:
-    """Return why most samples are not used, and what to do."""
-    reasons = [text for text in readings.why if text.startswith("dropped")]
-    dropped = [text.removeprefix("dropped: ") for text in reasons]
+    """Return in words why most samples of a file are not used, and what to do."""
+    is_dropped = np.array([text.startswith("dropped") for text in readings.why], dtype=bool)
     panels = [term for term in readings.obs.terms if isinstance(term, Panels)]
-    down = panels[0].sun_up == 0 if panels else np.zeros(len(readings.why), dtype=bool)
-    shadow = down.sum() - sum(text.startswith("dropped") for text in readings.why[down])
-    if shadow > len(dropped):
+    in_shadow = panels[0].sun_up == 0 if panels else np.zeros(len(readings.why), dtype=bool)
+    only_shadow = (in_shadow & ~is_dropped).sum()
+    if only_shadow > is_dropped.sum():
         return (
-            f"by the orbit {shadow} are in the Earth's shadow: compare clock and elements with `sunspin check`, or leave out "
+            f"by the orbit {only_shadow} are in the Earth's shadow: compare clock and elements with `sunspin check`, or leave out "
             "the orbit"
         )
-    if not dropped:
+    if not is_dropped.any():
         return "add samples with a Sun direction"
-    reason, count = Counter(dropped).most_common(1)[0]
+    reason, count = Counter(readings.why[is_dropped]).most_common(1)[0]
+    reason = reason.removeprefix("dropped: ")
     return f"{count} dropped: {reason}; `sunspin check` says why samples are dropped"
 
 
 def take_samples(telemetry: xr.Dataset, samples: np.ndarray) -> xr.Dataset:
-    """Return some samples of a file (indices), whose wheels still coast from the first sample of the whole file."""
+    """Return some samples (indices) of a file, with the time from which its wheels may coast: its first sample."""
     return telemetry.isel(time=samples).assign_attrs({COAST_FROM: _coast_from_s(telemetry)})
 
 
 def _coast_from_s(telemetry: xr.Dataset) -> float:
-    """Return the time (s) of the first sample of the file that these samples are, or were cut out of."""
+    """Return the time (s) of the first sample of a file, or of the file from which these samples were cut out."""
     return float(telemetry.attrs.get(COAST_FROM, telemetry["time"].values[0]))
 
 
 def wheel_models(vehicle: Vehicle, telemetry: xr.Dataset) -> dict[str, np.ndarray]:
-    """Return what the wheels may do, in words, with their momentum at each sample (n, 3) in mean moments times rad/s."""
+    """Return the total momentum of the wheels at each sample (n, 3), in mean moments times rad/s, by what the wheels may do.
+
+    The keys are those of :func:`wheel_speeds`, or "none" without wheels or inertia.
+    """
     t_s = np.asarray(telemetry["time"], dtype=np.float64)
     if vehicle.inertia_kg_m2 is None or not vehicle.wheels:
         return {"none": np.zeros((len(t_s), 3))}
-    axes = np.array([w.inertia_kg_m2 * np.asarray(w.axis_B) for w in vehicle.wheels])
-    unit = float(np.trace(vehicle.inertia_kg_m2)) / 3
+    momentum_per_speed = np.array([w.inertia_kg_m2 * np.asarray(w.axis_B) for w in vehicle.wheels])
+    mean_moment = float(np.trace(vehicle.inertia_kg_m2)) / 3
     speeds = wheel_speeds(vehicle, telemetry, t_s)
-    return {what: speed @ axes / unit for what, speed in speeds.items()}
+    return {what: speed @ momentum_per_speed / mean_moment for what, speed in speeds.items()}
 
 
 def wheel_speeds(vehicle: Vehicle, telemetry: xr.Dataset, t_s: np.ndarray) -> dict[str, np.ndarray]:
-    """Return what the wheels may do, in words, with their speeds (n, n_wheel) in rad/s at times (n).
+    """Return the speeds (n, n_wheel) of the wheels in rad/s at times (n), by what the wheels may do, in words.
 
-    Measured speeds leave one possibility. Without them the wheels are held, or coast from the first sample with the friction of the
-    vehicle file or one of its alternatives: which, is for the data to say.
+    Measured speeds leave one possibility. Otherwise the wheels are held, or coast from the first sample with the friction of the
+    vehicle file or one of its alternatives; the fits decide between these.
     """
     nominal = np.array([wheel.speed_rad_s for wheel in vehicle.wheels])
     if "wheel_speed_rad_s" in telemetry:
-        return {MEASURED: _bridged(t_s, telemetry, nominal)}
+        return {MEASURED: _interpolated(t_s, telemetry, nominal)}
     held = {HELD: np.broadcast_to(nominal, (len(t_s), len(nominal)))}
     after_s = t_s - _coast_from_s(telemetry)
     return held | (_coasting(vehicle, after_s) if nominal.any() else {})
 
 
 def _coasting(vehicle: Vehicle, after_s: np.ndarray) -> dict[str, np.ndarray]:
-    """Return what coasting wheels may do, in words, with their speeds (n, n_wheel) `after_s` (n) seconds after they began.
+    """Return the speeds (n, n_wheel) of coasting wheels `after_s` (n) seconds after the motors were switched off, by friction.
 
-    There is one entry for the frictions of the vehicle file and one for each name of alternative frictions. A wheel without that
-    alternative has its usual friction. Without any friction the speeds are those of held wheels: no entry.
+    There is one entry for the nominal frictions of the vehicle file and one for each name of alternative frictions. A wheel without
+    that alternative has its nominal friction. Without any friction the wheels run as held ones, and there is no entry.
     """
     speeds = {}
     names = dict.fromkeys(name for w in vehicle.wheels for name in w.alternative_frictions)
-    for name in (None, *names):  # None: the usual frictions
+    for name in (None, *names):  # None: the nominal frictions
         frictions = [
             w.friction if name is None else w.alternative_frictions.get(name, w.friction)
             for w in vehicle.wheels
@@ -431,27 +449,29 @@ def _coasting(vehicle: Vehicle, after_s: np.ndarray) -> dict[str, np.ndarray]:
     return speeds
 
 
-def _bridged(t_s: np.ndarray, telemetry: xr.Dataset, nominal: np.ndarray) -> np.ndarray:
-    """Return measured speeds (n, n_wheel) at times (n) with gaps bridged linearly; a wheel never read keeps its nominal speed."""
-    read, read_s = telemetry["wheel_speed_rad_s"].values, np.asarray(telemetry["time"], np.float64)
-    speed = np.empty((len(t_s), len(nominal)))
-    for k, usual in enumerate(nominal):
-        known = np.flatnonzero(np.isfinite(read[:, k]))
-        known = known[np.argsort(read_s[known], kind="stable")]
-        at, value = read_s[known], read[known, k]
-        speed[:, k] = np.interp(t_s, at, value) if len(known) else usual
-    return speed
+def _interpolated(t_s: np.ndarray, telemetry: xr.Dataset, nominal: np.ndarray) -> np.ndarray:
+    """Return measured wheel speeds (n, n_wheel), rad/s, interpolated linearly to times (n).
+
+    A wheel that was never read keeps its speed in `nominal` (n_wheel).
+    """
+    speeds, time = telemetry["wheel_speed_rad_s"].values, np.asarray(telemetry["time"], np.float64)
+    out = np.empty((len(t_s), len(nominal)))
+    for k, nominal_speed in enumerate(nominal):
+        read = np.flatnonzero(np.isfinite(speeds[:, k]))
+        read = read[np.argsort(time[read], kind="stable")]
+        out[:, k] = np.interp(t_s, time[read], speeds[read, k]) if len(read) else nominal_speed
+    return out
 
 
-def wheels_untold(vehicle: Vehicle, telemetry: xr.Dataset) -> list[str]:
-    """Return the names of wheels of whose speed neither the vehicle file nor the telemetry says anything: taken for standing."""
+def wheels_of_unknown_speed(vehicle: Vehicle, telemetry: xr.Dataset) -> list[str]:
+    """Return the names of wheels whose speed neither the vehicle file nor the telemetry gives, so that they count as at rest."""
     if vehicle.inertia_kg_m2 is None:
         return []
-    read = np.full((1, len(vehicle.wheels)), np.nan)
+    measured = np.full((1, len(vehicle.wheels)), np.nan)
     if "wheel_speed_rad_s" in telemetry:
-        read = telemetry["wheel_speed_rad_s"].values
+        measured = telemetry["wheel_speed_rad_s"].values
     return [
         wheel.name
         for k, wheel in enumerate(vehicle.wheels)
-        if wheel.speed_rad_s == 0 and not np.isfinite(read[:, k]).any()
+        if wheel.speed_rad_s == 0 and not np.isfinite(measured[:, k]).any()
     ]

@@ -40,7 +40,7 @@ from sunspin.estimate.lander.verdict import (
 )
 from sunspin.estimate.lander.window import Window, observe_window
 from sunspin.estimate.model import AS_STATED
-from sunspin.estimate.observe import wheels_untold
+from sunspin.estimate.observe import wheels_of_unknown_speed
 from sunspin.estimate.periods import PeriodSeen
 from sunspin.estimate.search import search
 from sunspin.estimate.settings import POSTERIOR, PosteriorSettings
@@ -166,7 +166,7 @@ def posterior(
     speed = np.linalg.norm(mix.draws.motions.omega[picked], axis=1)
     if np.mean(speed > EDGE * searched_rad_s) > AT_EDGE:
         doubts.append("the rates reach the limit of the search; raise max_rate_rad_s")
-    if wheels := ", ".join(wheels_untold(vehicle, telemetry)):
+    if wheels := ", ".join(wheels_of_unknown_speed(vehicle, telemetry)):
         cure = "give speed_rad_s or a speed_column, or remove a wheel that is at rest"
         doubts.append(f"WHEEL SPEED UNKNOWN ({wheels}): assumed 0; {cure}")
     if budget.cut:

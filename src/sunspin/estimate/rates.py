@@ -29,7 +29,7 @@ from sunspin.estimate.model import SUN_N, Body, Model, Noise
 from sunspin.estimate.observe import (
     Pass,
     observe,
-    passes_asked_for,
+    select_passes,
     split_passes,
     wheel_models,
     with_unused_samples,
@@ -49,7 +49,7 @@ from sunspin.estimate.settings import LARGEST_RATE, LARGEST_TURNS, RATES, RatesS
 from sunspin.estimate.solutions import Solutions, solutions
 from sunspin.estimate.starts import allowed_directions, fine_up_to
 from sunspin.estimate.terms.panels import Panels
-from sunspin.estimate.verdict import count_of_passes, more_effort, rates_words, slower
+from sunspin.estimate.verdict import advise_lower_limit, count_of_passes, more_effort, rates_words
 from sunspin.estimate.wheels import (
     Reversed,
     decide_wheels,
@@ -167,7 +167,7 @@ def rates(
     calibration = calibrate_magnetometer(local, assessment) if calibration is None else calibration
     readings = observe(assessment, source, local, calibration, acting(torques, local))
     every_pass = split_passes(readings, gap_s, settings.passes)
-    passes = passes_asked_for(every_pass, pass_id)
+    passes = select_passes(every_pass, pass_id)
     readings = with_unused_samples(readings, every_pass, passes)
     kept = sum(len(a_pass.kept) for a_pass in passes)
 
@@ -457,7 +457,7 @@ def left_open_by_search(
         if pass_fits.cut:
             reasons.append(f"budget reached: {more_effort(effort)}")
         if np.isfinite(limit):
-            reasons.append(f"coarse: {slower(limit)}")
+            reasons.append(f"coarse: {advise_lower_limit(limit)}")
         if strength_estimated and model.body.sphere and (far or strong):
             no_sphere += 1
             reasons.append(

@@ -18,7 +18,7 @@ from sunspin.estimate.carry import RATE, TURN
 from sunspin.estimate.dense import curve
 from sunspin.estimate.images import either_side
 from sunspin.estimate.model import Model
-from sunspin.estimate.observe import FileReadings, Pass, wheels_untold
+from sunspin.estimate.observe import FileReadings, Pass, wheels_of_unknown_speed
 from sunspin.estimate.solutions import Solutions
 from sunspin.estimate.terms.directions import SunDirections
 from sunspin.estimate.terms.field import FieldDirection, KnownField
@@ -46,16 +46,17 @@ from sunspin.telemetry.gains import FAINT
 from sunspin.vehicle import Vehicle
 
 ROUNDING = 1e-3
-"""Negative part of a covariance's largest variance beyond which it is rounding: 0.6 for a panel that hardly sees the Sun."""
+"""A covariance is dominated by rounding errors if it has a negative variance of more than this part of its largest one. The part is
+0.6 for a panel that hardly sees the Sun."""
 
 ANY_DIRECTION_RAD = float(np.sqrt((np.pi**2 - 4) / 2))
-"""Rms angle between a direction and one that may be any."""
+"""Root mean square angle (rad) between a direction and one that is uniform on the sphere."""
 
 OF_SCATTER = "the vehicle file states none: the scatter of readings in full Sun and the light on panels that face away"
-"""Where the error of panel readings comes from without a stated noise."""
+"""Source of the noise of panel readings if none is stated."""
 
 LATENCY = "late_s"
-"""Name of the estimate of how late sensors other than the Sun's are."""
+"""Name of the estimated latency of sensors other than the Sun's."""
 
 
 def motion_dataset(
@@ -66,12 +67,12 @@ def motion_dataset(
     nominal: Model,
     noise_stated: bool,
 ) -> xr.Dataset:
-    """Return the numbers of all passes: the best motion of each at all samples used, and the solutions of each.
+    """Return the result of `rates` without its verdict: the best motion of each pass at all samples used, and all solutions.
 
-    `nominal`: the nominal model, under the strength of torques that the file as a whole has; `noise_stated`: the vehicle file or
-    the user gives that strength.
+    `solved`: the solutions of each of the `passes`, the most probable first. `nominal`: the nominal model under the most probable
+    strength of torques of the whole file; `noise_stated`: whether the vehicle file or the user gives that strength.
     """
-    used = np.concatenate([a_pass.samples for a_pass in passes])  # samples of the file
+    used = np.concatenate([a_pass.samples for a_pass in passes])  # indices of samples of the file
     best = [of_pass.track.take(slice(0, 1)) for of_pass in solved]
     # one pass after the other along time
     attitude, omega, covariance, sun = (
@@ -121,7 +122,7 @@ def _attributes(
     nominal: Model,
     noise_stated: bool,
 ) -> dict[str, Any]:
-    """Return the attributes that say what was used, and what was assumed; `used`: samples of the file that are in a pass."""
+    """Return the attributes on the sensors that were used and on what was assumed; `used`: indices of the samples in a pass."""
     vehicle, telemetry = assessment.vehicle, assessment.telemetry
     panels = [term for term in readings.obs.terms if isinstance(term, Panels)]
     attrs: dict[str, Any] = provenance("rates", telemetry, **vehicle.result_attributes) | {
@@ -150,7 +151,8 @@ def _attributes(
     attrs |= {f"{name}_used": int(name in read) for name in OTHER_SENSORS}
     if any(term.name == RateMagnitudes.name for term in readings.obs.terms):
         attrs["rate_size_used"] = int(RateMagnitudes.name in read)
-    wheels = [] if attrs["gyro_used"] else wheels_untold(vehicle, telemetry)
+    # a gyro measures the rate whatever the wheels do
+    wheels = [] if attrs["gyro_used"] else wheels_of_unknown_speed(vehicle, telemetry)
     gains = assessment.doubtful_gains if readings.source == "panels" else {}
     return attrs | {
         "wheels_untold": ", ".join(wheels),
@@ -159,11 +161,11 @@ def _attributes(
 
 
 def _curves(solved: Sequence[Solutions], nominal: Model) -> dict[str, Any]:
-    """Return the variables on `curve_time`: the best motion of each pass on even instants between its samples."""
+    """Return the variables on `curve_time`: the best motion of each pass at evenly spaced instants, between the samples too."""
     times, tracks = [], []
-    for solution in solved:
-        model = replace(nominal, obs=solution.obs)
-        instants, track = curve(model, solution.track.take(slice(0, 1)), float(solution.noise[0]))
+    for of_pass in solved:
+        model = replace(nominal, obs=of_pass.obs)
+        instants, track = curve(model, of_pass.track.take(slice(0, 1)), float(of_pass.noise[0]))
         times.append(instants)
         tracks.append(track)
     attitude, omega, covariance = (
@@ -183,28 +185,29 @@ def _curves(solved: Sequence[Solutions], nominal: Model) -> dict[str, Any]:
 
 
 def latency_attributes(vehicle: Vehicle, solved: Sequence[Solutions]) -> dict[str, Any]:
-    """Return the attributes on the latency of sensors other than the Sun's, by all passes together.
+    """Return the attributes on the latency of sensors other than the Sun's, estimated from all passes together.
 
-    The estimate of each pass joins the prior of the vehicle file with its own readings: precisions add, and so do values times
-    precisions. The prior must count once, so that what each pass adds to it is summed.
+    The estimate of each pass combines the prior of the vehicle file with its own readings: precisions 1 / sigma^2 add, and so do
+    values times precisions. The prior counts once, and each pass adds what exceeds it.
     """
     clock = vehicle.sensors.clock
-    late_s, sigma_s, where_from = np.nan, np.nan, "taken as read together"
+    late_s, sigma_s, source = np.nan, np.nan, "taken as read together"
     if clock is not None:
-        late_s, sigma_s, where_from = clock.late_s, clock.sigma_s, "vehicle file"
+        late_s, sigma_s, source = clock.late_s, clock.sigma_s, "vehicle file"
+    # unit, value and sigma of each pass that has the estimate
     rows = [of_pass.estimates[0][LATENCY] for of_pass in solved if LATENCY in of_pass.estimates[0]]
     if clock is not None and rows:
-        _, values, sigmas = (np.array(part) for part in zip(*rows, strict=True))  # first: units
+        _, values, sigmas = (np.array(part) for part in zip(*rows, strict=True))
         prior_precision = clock.sigma_s**-2
         prior_weighted = clock.late_s * prior_precision
-        added = np.maximum(sigmas**-2 - prior_precision, 0.0)
+        added_precision = np.maximum(sigmas**-2 - prior_precision, 0.0)
         weighted = prior_weighted + (values / sigmas**2 - prior_weighted).sum()
-        sigma_s = (prior_precision + added.sum()) ** -0.5
-        late_s, where_from = weighted * sigma_s**2, "vehicle file and data"
+        sigma_s = (prior_precision + added_precision.sum()) ** -0.5
+        late_s, source = weighted * sigma_s**2, "vehicle file and data"
     return {
         "sensors_late_s": float(late_s),
         "sensors_late_sigma_s": float(sigma_s),
-        "sensors_late_from": where_from,
+        "sensors_late_from": source,
     }
 
 
@@ -214,10 +217,10 @@ def with_space_axes(
     solved: Sequence[Solutions],
     readings: FileReadings,
 ) -> xr.Dataset:
-    """Return the result with what an orbit, or a field that stands for the Sun, says of the axes N.
+    """Return the result with what is known of the axes N in space from an orbit, or without a Sun from a magnetometer.
 
-    In an orbit it has the sigma of the rotation about the Sun direction, and if a magnetometer was used attitudes from J2000. A
-    magnetometer alone gives directions of the field in place of the Sun's.
+    With an orbit it has the sigma of the rotation about the Sun direction, and attitudes from J2000 if a magnetometer was used.
+    With a magnetometer alone it has field directions instead of Sun directions. `local`: the environment in axes along the Sun.
     """
     if any(isinstance(term, FieldDirection) for term in readings.obs.terms):
         about = {"units": "1", "long_name": "direction of the magnetic field, smoothed"}
@@ -243,7 +246,8 @@ def with_space_axes(
     )
     if not any(isinstance(term, KnownField) for term in readings.obs.terms):
         return result
-    # the field shows the turn about the Sun, so that attitudes are known in space
+    # The field shows the rotation about the Sun direction, so that attitudes are known in space: B_from_J2000 = B_from_N
+    # N_from_J2000.
     from_J2000 = {}
     for name, time, pass_of in (
         ("B_from_N", "time", "pass_of"),
@@ -258,11 +262,12 @@ def with_space_axes(
 
 
 def _sun_sigma(sun: np.ndarray, covariance: np.ndarray) -> np.ndarray:
-    """Return one sigma (n) in rad of directions of the Sun (n, 3) from covariances (n, 3, 3) of the attitude.
+    """Return the sigmas (n), rad, of Sun directions (n, 3) from covariances (n, 3, 3) of the attitude.
 
-    If readings determine so little that a covariance is rounding, with negative variances, the direction may be any.
+    If a covariance is only rounding errors, with negative variances, because readings determine too little, the sigma is that of
+    any direction.
     """
-    # Only turns across the Sun s move it: the variance is the trace of P C P^T with P = 1 - s s^T.
+    # Only rotations across the Sun direction s move it: the variance is the trace of P C P^T with P = I - s s^T.
     across = np.eye(3) - sun[:, :, None] * sun[:, None, :]
     variance = np.einsum("nij,njk,nik->n", across, covariance, across)
     values = np.linalg.eigvalsh((covariance + np.swapaxes(covariance, -1, -2)) / 2)
@@ -277,39 +282,38 @@ def verdict_variables(
     rate_sigma: float,
     epoch_utc: str | None,
 ) -> dict[str, Any]:
-    """Return the variables that say what may be believed of each pass (:func:`answers`), and its solutions at mid-pass.
+    """Return the variables with the verdict on each pass (:func:`answers`), and its solutions at the sample nearest to mid-pass.
 
-    That is at the sample nearest to the middle of the pass. `left_open_of`: what the search of each pass may have left out and what
-    would help, in words; empty if nothing. `rate_sigma` (rad/s): sigma of a component before the data.
+    `left_open_of`: what the search of each pass may have left out and what would help, in words; empty if nothing. `rate_sigma`
+    (rad/s): prior sigma of a component of the rate.
     """
     sensors = sorted({name for of_pass in solved for name in of_pass.residual})
     misfits = np.full((len(solved), len(sensors), 3), np.nan)
     residual = np.full((len(sensors), sum(len(a_pass.samples) for a_pass in passes)), np.nan)
-    rows, begin = [], 0  # index of the first sample of the pass on `time`
-    for k, (solutions, left_open) in enumerate(zip(solved, left_open_of, strict=True)):
-        t_s = solutions.obs.t_s
+    rows, begin = [], 0  # index on `time` of the first sample of the pass
+    for k, (of_pass, left_open) in enumerate(zip(solved, left_open_of, strict=True)):
+        t_s = of_pass.obs.t_s
         mid = int(np.argmin(np.abs(t_s - (t_s[0] + t_s[-1]) / 2)))
-        of_pass = slice(begin, begin + len(t_s))
+        on_time = slice(begin, begin + len(t_s))
         begin += len(t_s)
         by_sensor = {}
-        for name, of_solutions in solutions.residual.items():
-            by_sensor[name] = misfit(of_solutions[0])  # of the most probable solution
+        for name, residuals in of_pass.residual.items():
+            of_best = residuals[0]  # of the most probable solution
+            by_sensor[name] = misfit(of_best)
             misfits[k, sensors.index(name)] = by_sensor[name]
-            residual[sensors.index(name), of_pass] = of_solutions[0]
-        omega, covariance = (
-            solutions.track.omega[:, mid],
-            solutions.track.covariance[:, mid, RATE, RATE],
-        )
-        motions = AtOnce(solutions.probability, omega, covariance, either_side(solutions.track))
-        explained = bool(solutions.track.cost[0] <= solutions.cost_limit)
-        four_answers, speed = answers(motions, rate_sigma, by_sensor, explained, left_open)
+            residual[sensors.index(name), on_time] = of_best
+        omega = of_pass.track.omega[:, mid]
+        covariance = of_pass.track.covariance[:, mid, RATE, RATE]
+        motions = AtOnce(of_pass.probability, omega, covariance, either_side(of_pass.track))
+        explained = bool(of_pass.track.cost[0] <= of_pass.cost_limit)
+        checks, speed = answers(motions, rate_sigma, by_sensor, explained, left_open)
         sigma = np.sqrt(np.einsum("kii->ki", covariance))
-        # What confirms no columns: directions of one kind alone, of the Sun or of the field, fit a reversed axis with the mirrored
-        # motion, whose speed is the same.
-        fields = {term.label for term in solutions.obs.terms if isinstance(term, FieldDirection)}
-        blind = set(by_sensor) <= {*(fields or {SunDirections.label}), RateMagnitudes.label}
-        checked = COLUMNS_UNCHECKED if blind else COLUMNS_STATED
-        of_solutions = solutions.probability, omega, sigma, speed, four_answers, checked
+        # Directions of one kind alone, of the Sun or of the field, do not confirm the columns: a reversed axis fits with the
+        # mirrored motion, whose speed is the same.
+        fields = {term.label for term in of_pass.obs.terms if isinstance(term, FieldDirection)}
+        unconfirmed = set(by_sensor) <= {*(fields or {SunDirections.label}), RateMagnitudes.label}
+        columns_checked = COLUMNS_UNCHECKED if unconfirmed else COLUMNS_STATED
+        of_solutions = of_pass.probability, omega, sigma, speed, checks, columns_checked
         rows.append(PassRow(len(t_s), t_s[0], t_s[-1], t_s[mid], *of_solutions))
     return (
         passes_table(rows, epoch_utc)
@@ -326,21 +330,21 @@ def verdict_variables(
 
 
 def with_doubted_repeats(result: xr.Dataset, assessment: Assessment) -> xr.Dataset:
-    """Return the result with no pass decided whose samples may be held values (`Repeats.unsure`), and with why."""
+    """Return the result with each pass undecided whose readings may repeat held values (`Repeats.unsure`), and with the reason."""
     repeats = assessment.repeats
-    held_s = assessment.telemetry["time"].values[repeats.unsure]
-    passes_with_held = result["pass_of"].values[np.isin(result["time"].values, held_s)]
+    repeated_s = assessment.telemetry["time"].values[repeats.unsure]
+    passes_with_repeats = result["pass_of"].values[np.isin(result["time"].values, repeated_s)]
     decided, why = result["decided"].values.copy(), result["why_not_decided"].values.tolist()
-    for k in np.unique(passes_with_held):
+    for k in np.unique(passes_with_repeats):
         decided[k] = False
         why[k] = "; ".join(filter(None, (why[k], repeats.doubt)))
     return result.assign(decided=("pass_id", decided), why_not_decided=("pass_id", why))
 
 
 def _estimates(best: Sequence[dict[str, tuple[str, float, float]]]) -> dict[str, Any]:
-    """Return the variables with the numbers that were estimated with the best motion of each pass; NaN if a pass lacks a number.
+    """Return the variables with the unknowns that were estimated with the best motion of each pass; NaN if a pass lacks one.
 
-    `best`: for each pass the name of a number -> its unit, value and sigma.
+    `best`: of each pass, name of the unknown -> unit, value and sigma.
     """
     units = {name: unit for of_pass in best for name, (unit, _, _) in of_pass.items()}
     names = list(units)

@@ -387,7 +387,7 @@ def _errors_of_body(body: Body, rates: np.ndarray, otherwise: np.ndarray) -> np.
     # least squares: u with inertia = body.inertia + sum of u errors
     off = (inertia - body.inertia).reshape(-1, 9)
     u = np.linalg.lstsq(body.errors.reshape(-1, 9).T, off.T, rcond=None)[0].T
-    return np.where(is_inertia[:, None], body.possible(u), otherwise)
+    return np.where(is_inertia[:, None], body.possible_errors(u), otherwise)
 
 
 def other_bodies(motions: Track, model: Model) -> Track:

@@ -1,7 +1,7 @@
-"""What may be believed of an estimate: four questions, asked alike everywhere, and the words that say it.
+"""The verdict on the estimate of a pass: four checks, the table of passes, and the words that report them.
 
-Is one motion left? Do the data constrain all components, or is the prior given back? Does it fit, each sensor by itself? Was the
-search complete? A motion is decided if all four are answered with yes. The numbers here are the error rates of the verdict.
+Is one solution left (unique)? Do the data constrain all rate components? Does each sensor fit by itself? Was the search complete? A
+pass is decided if all four are met. The constants here set the error rates of the verdict.
 """
 
 from __future__ import annotations
@@ -23,19 +23,20 @@ DECIDED = 0.9
 """A solution is unique if it has at least this probability."""
 
 NARROWER = 0.5
-"""A component is constrained if its standard deviation, all solutions counted, is below this part of the prior's."""
+"""A component is constrained if its standard deviation over all solutions is below this part of the prior's."""
 
 BEYOND = 2 * float(ndtr(-3.0))
-"""Chance of a sound reading to lie beyond three sigma."""
+"""Probability that a reading with the stated noise is off by more than three sigma."""
 
 MOST_BEYOND, ONE_SPIKE = 0.3, 1.5
-"""No motion fits if a larger share of one sensor's readings, and more than one, lies beyond three sigma, however strewn."""
+"""A sensor does not fit if more than this share of its readings, and more than one, is off by more than three sigma."""
 
 FEW_BEYOND, LEAST_BEYOND = 0.04, 4
-"""Readings beyond three sigma that follow one another are no spikes, but another motion: from this share on, and so many."""
+"""A sensor does not fit either if more than this share of its readings, and at least so many, is off by more than three sigma in
+runs: single outliers are spread over the pass, but a wrong motion is off for a while."""
 
 IN_RUNS = 1e-2
-"""Chance below which readings beyond three sigma would lie next to each other so often if they were strewn."""
+"""Readings beyond three sigma lie in runs if randomly spread ones would form so few runs with less than this probability."""
 
 COLUMNS_STATED, COLUMNS_UNCHECKED, COLUMNS_DOUBTED = "as_stated", "unchecked", "doubtful"
 """Whether the data confirm which column is which: they do; they cannot; another order, sign or axis fits better."""
@@ -44,13 +45,12 @@ SPEEDS = (0.05, 0.5, 0.95)
 """Quantiles of the angular speed that are reported."""
 
 DRAWS = 10_000
-"""Draws behind them: the 95 % quantile of one normal number is then known to 2 % of its sigma."""
+"""Draws from which these are computed: the 95 % quantile of one normal number is then known to 2 % of its sigma."""
 
 UPPER = 0.95
 """Probability of an upper limit of the speed."""
 
 SUN_ALONE = "only Sun directions were used: rotation about the Sun direction is constrained only by the dynamics"
-
 
 FIELD_ALONE = (
     "magnetometer only, NO ORBIT: rates are relative to the field direction (itself rotating by about 0.1 deg/s, included in the "
@@ -62,10 +62,10 @@ OTHER_SENSORS = ("gyro", "field", "attitude")
 
 
 class Misfit(NamedTuple):
-    """One sensor's residuals along the best motion.
+    """How well one sensor fits the best motion.
 
-    `count`: of readings; `share`: of those beyond three sigma; `chance`: of so few runs of good and bad readings over time if bad
-    ones were strewn at random.
+    `count`: number of readings; `share`: part of them that is off by more than three sigma; `chance`: probability of so few runs of
+    such readings and others over time if they were spread at random.
     """
 
     count: int
@@ -75,24 +75,27 @@ class Misfit(NamedTuple):
     @property
     def fits(self) -> bool:
         """Return whether the sensor agrees with the motion."""
+        # an integer up to rounding, so that it is compared with half-integers
         beyond = self.share * self.count
         in_runs = self.share > FEW_BEYOND and beyond > LEAST_BEYOND - 0.5 and self.chance < IN_RUNS
         return not (in_runs or (self.share > MOST_BEYOND and beyond > ONE_SPIKE))
 
 
 def in_sigma(square: np.ndarray, freedom: np.ndarray | int) -> np.ndarray:
-    """Return sums of squared residuals (...), with `freedom` degrees of freedom each, as sizes in sigmas.
+    """Return the sizes (...) in sigmas of residuals with several components, from their sums of squares (...).
 
-    A size is the root of the sum, scaled so that it exceeds 3 as often as the size of one normal number does (:data:`BEYOND`).
+    `freedom`: number of independent components of each. A size is the root of the sum, scaled so that it exceeds 3 as often as the
+    size of one normal number does (:data:`BEYOND`).
     """
     return 3 * np.sqrt(np.maximum(square, 0.0) / chdtri(np.maximum(freedom, 1), BEYOND))
 
 
 def misfit(sigmas: np.ndarray) -> Misfit:
-    """Return the misfit of one sensor's residuals (n) in the order of time, as :func:`in_sigma` has them, NaN without a reading.
+    """Return the misfit of one sensor from its residuals (n) in the order of time: sizes by :func:`in_sigma`, NaN without a
+    reading.
 
-    A run is a stretch of readings that are all good or all bad. The number of runs is compared with its mean and variance for a
-    random order, as by Wald and Wolfowitz (1940, Ann. Math. Statist. 11, 147).
+    A residual beyond three sigma is bad. A run is a stretch of residuals that are all good or all bad. The number of runs is
+    compared with its mean and variance for a random order (Wald and Wolfowitz 1940, Ann. Math. Statist. 11, 147).
     """
     is_bad = np.asarray(sigmas)[np.isfinite(sigmas)] > 3.0
     n, bad = len(is_bad), int(is_bad.sum())
@@ -107,10 +110,10 @@ def misfit(sigmas: np.ndarray) -> Misfit:
 
 
 class Speed(NamedTuple):
-    """The angular speed of the reported motion in rad/s.
+    """The angular speed of a pass at one instant, rad/s.
 
-    `value`: that of the most probable solution; `sigma`: the root mean square of the difference from it within that solution;
-    `below`: the 95 % quantile, all solutions counted.
+    `value`: of the most probable solution; `sigma`: root mean square difference from it within that solution; `below`: 95 %
+    quantile over all solutions.
     """
 
     value: float
@@ -119,12 +122,12 @@ class Speed(NamedTuple):
 
     @property
     def constrained(self) -> bool:
-        """Return whether the data give a speed; else they give an upper limit only, `below`."""
+        """Return whether the speed is larger than its error; else the data give only an upper limit, `below`."""
         return bool(self.sigma <= self.value)
 
     @property
     def limit(self) -> str:
-        """Return the upper limit in words, in deg/s with two digits."""
+        """Return the upper limit in words, in deg/s with two significant digits."""
         return f"speed below {upper_text(np.degrees(self.below))} deg/s (95 %)"
 
 
@@ -139,7 +142,8 @@ def upper_text(value: float) -> str:
 
 
 def drawn_speeds(omega: np.ndarray, covariance: np.ndarray) -> np.ndarray:
-    """Return draws (K, `DRAWS`) of the angular speed of rates (K, 3) with covariances (K, 3, 3); the seed is fixed."""
+    """Return draws (K, `DRAWS`), from a fixed seed, of the speed of normally distributed rates (K, 3) with covariances (K, 3,
+    3)."""
     normal = np.random.default_rng(0).standard_normal((DRAWS, 3))
     values, axes = np.linalg.eigh(covariance)
     root = axes * np.sqrt(np.maximum(values, 0.0))[:, None, :]  # root root^T is the covariance
@@ -147,11 +151,11 @@ def drawn_speeds(omega: np.ndarray, covariance: np.ndarray) -> np.ndarray:
 
 
 def speed_of(omega: np.ndarray, drawn: np.ndarray, probability: np.ndarray) -> Speed:
-    """Return the speed of the rate `omega` (3) of the first of K solutions.
+    """Return the angular speed of K solutions: that of the first, with the rate `omega` (3), its error, and a limit for all.
 
-    Near zero the speed is not normally distributed, so that its error and its limit come from draws (K, `DRAWS`) of the speeds of
-    all solutions. The error is that of the first solution: an unlikely alias does not enlarge it. The limit is the quantile
-    :data:`UPPER` of all, weighted by their probability (K).
+    Near zero the speed is not normally distributed, so that error and limit come from the draws `drawn` (K, `DRAWS`) of the speed.
+    The error is that of the first solution: an unlikely alias does not enlarge it. The limit is the quantile :data:`UPPER` over all
+    solutions, weighted by their `probability` (K).
     """
     value = float(np.linalg.norm(omega))
     if not (np.isfinite(value) and np.isfinite(drawn).all()):
@@ -166,10 +170,10 @@ def speed_of(omega: np.ndarray, drawn: np.ndarray, probability: np.ndarray) -> S
 
 
 class Answers(NamedTuple):
-    """The four answers for one pass.
+    """Results of the four checks of one pass.
 
-    `constrained` (3) by component; `wrong`: the sensors that do not agree with the motion; `left_open`: what the search may have
-    left out and what would help; `speed`: that of the motion.
+    `constrained`: by component of the rate; `wrong`: names of the sensors that do not fit; `left_open`: what the search may have
+    left out and what would help, in words.
     """
 
     unique: bool
@@ -182,16 +186,16 @@ class Answers(NamedTuple):
 
     @property
     def decided(self) -> bool:
-        """Return whether an operator may act on the motion: all four answers are yes.
+        """Return whether all four checks are met, so that an operator may act on the first solution.
 
-        Held readings, mirror images that are not listed, and doubted columns take it back later.
+        Other functions withdraw it later if samples repeat, a symmetric solution is not listed, or columns are in doubt.
         """
         constrained = all(self.constrained) and self.speed.constrained
         return self.unique and self.fits and constrained and self.search_complete
 
     @property
     def why_not(self) -> str:
-        """Return what keeps the motion from being decided, in words; empty if it is."""
+        """Return in words which checks are not met; empty if the pass is decided."""
         known = [axis for axis, is_known in zip("xyz", self.constrained, strict=True) if is_known]
         reasons = []
         if not self.fits:
@@ -204,7 +208,7 @@ class Answers(NamedTuple):
                 if known
                 else "NOT CONSTRAINED (result equals the prior)"
             )
-        # an upper limit needs a model that fits, and data that say more than the prior
+        # an upper limit is valid only if the model fits and the data constrain the components
         elif not self.speed.constrained and self.fits:
             reasons.append(self.speed.limit)
         if not self.search_complete:
@@ -213,10 +217,10 @@ class Answers(NamedTuple):
 
 
 class AtOnce(NamedTuple):
-    """K solutions at one instant, the most probable first.
+    """Rates of K solutions at one instant, the most probable first.
 
-    `probability` (K); `omega` (K, 3) in rad/s with `covariance` (K, 3, 3); `one_rate` (K): which are the first one, or differ from
-    it in the sign of the Sun's direction alone.
+    `probability` (K); `omega` (K, 3) in rad/s with `covariance` (K, 3, 3); `one_rate` (K): whether each has the rate of the first
+    one, from which it then differs in the sign of the Sun direction alone.
     """
 
     probability: np.ndarray
@@ -232,11 +236,11 @@ def answers(
     explained: bool,
     left_open: str,
 ) -> tuple[Answers, np.ndarray]:
-    """Return four answers on the first of K solutions at one instant, and quantiles `SPEEDS` of the speed of each (K, 3).
+    """Return the results of the four checks of a pass, and quantiles `SPEEDS` of the speed (K, 3) of its K solutions, rad/s.
 
-    The answers: is it unique, is each component constrained, does it fit, was the search complete?
-    `rate_sigma` (rad/s): sigma of a component before the data; `misfits`: by sensor. `explained`: whether the best motion's
-    cost is at most `cost_limit`. `left_open`: what the search may have left out, in words; empty if nothing.
+    `motions`: the solutions at one instant; the first one is judged. `rate_sigma` (rad/s): prior sigma of a component; `misfits`:
+    by sensor. `explained`: the cost of the best motion is at most `Observations.cost_limit`. `left_open`: what the search may have
+    left out, in words; empty if nothing.
     """
     probability, omega, covariance, one_rate = motions
     wrong = tuple(name for name, sensor_misfit in misfits.items() if not sensor_misfit.fits)
@@ -256,16 +260,20 @@ def answers(
 
 
 def spread_of(omega: np.ndarray, variance: np.ndarray, probability: np.ndarray) -> np.ndarray:
-    """Return one sigma (3) of a rate about the first of K solutions, all of them counted by their `probability` (K).
+    """Return the root mean square difference (3), rad/s, of the rate from that of the first of K solutions.
 
-    It is the root mean square of the difference from omega[0]; `omega`, `variance` (K, 3): of each solution.
+    All solutions count by their `probability` (K); `omega` (K, 3) and `variance` (K, 3) are those of each.
     """
     share = (probability / probability.sum())[:, None]
     return np.sqrt((share * (variance + (omega - omega[0]) ** 2)).sum(axis=0))
 
 
 class PassRow(NamedTuple):
-    """What the table of passes says of one: samples used, first and last instant, and its K solutions at the instant `at_s` (s)."""
+    """Row of the table of passes: number of samples used, times of the first and last one (s), and K solutions at the time `at_s`.
+
+    `omega` and `sigma` (K, 3) in rad/s; `speed` (K, 3): quantiles :data:`SPEEDS` in rad/s; `columns_checked`: one of the
+    `COLUMNS_...`.
+    """
 
     samples: int
     first_s: float
@@ -280,7 +288,7 @@ class PassRow(NamedTuple):
 
 
 def padded(values: Sequence[np.ndarray]) -> np.ndarray:
-    """Return values (n_solution, ...) of each pass as one array (n_pass, most solutions, ...), NaN if a pass has fewer."""
+    """Return the values (n_solution, ...) of all passes as one array (n_pass, most solutions, ...), NaN if a pass has fewer."""
     out = np.full((len(values), max(map(len, values)), *values[0].shape[1:]), np.nan)
     for row, value in zip(out, values, strict=True):
         row[: len(value)] = value
@@ -288,14 +296,14 @@ def padded(values: Sequence[np.ndarray]) -> np.ndarray:
 
 
 def passes_table(rows: Sequence[PassRow], epoch_utc: str | None) -> dict[str, Any]:
-    """Return the variables on (`pass_id`, `solution`), those of `passes.csv`; NaN if a pass has fewer solutions."""
+    """Return the variables of the table of passes, `passes.csv`, on (`pass_id`, `solution`); NaN if a pass has fewer solutions."""
 
     def utc(seconds: float) -> str:
         """Return a time in UTC; empty without an epoch."""
         return "" if epoch_utc is None else utc_after(seconds, epoch_utc, 3)
 
     def flags(values: Sequence[bool]) -> Any:
-        """Return a variable of yes and no on passes."""
+        """Return a variable of true and false on passes."""
         return "pass_id", np.array(values, dtype=bool)
 
     verdicts = [row.answers for row in rows]
@@ -332,24 +340,24 @@ def passes_table(rows: Sequence[PassRow], epoch_utc: str | None) -> dict[str, An
 
 
 def more_effort(given: float) -> str:
-    """Return what to do if an effort was spent: an option that gives ten times the usual one, or ten times that."""
+    """Return in words what to do if the computing budget was spent: give ten times the effort, and at least 10."""
     return f"give more effort (`--effort {10 * max(given, 1.0):g}`)"
 
 
-def slower(limit_rad_s: float) -> str:
-    """Return what to do if the search is fine up to a limit only, which is given in three figures, rounded down."""
+def advise_lower_limit(limit_rad_s: float) -> str:
+    """Return in words what to do if the starts are dense enough only up to a limit of the rate, rounded down to three digits."""
     limit = np.degrees(limit_rad_s)
-    figure = 10.0 ** (np.floor(np.log10(limit)) - 2)
+    unit = 10.0 ** (np.floor(np.log10(limit)) - 2)
     return (
-        f"if no rate is faster than {np.floor(limit / figure) * figure:.4g} deg/s, give it as "
+        f"if no rate is faster than {np.floor(limit / unit) * unit:.4g} deg/s, give it as "
         "`--max-rate-deg-s`"
     )
 
 
 def rates_words(result: xr.Dataset) -> str:
-    """Return what the data show, in words: how many passes are decided, then a line for each note.
+    """Return the summary of a result of `rates` in words: how many passes are decided, then a line for each note.
 
-    First what is wrong with passes, then why others are not unique or not constrained, then what the search and the sensors lack.
+    The order is: passes that do not fit, columns, passes that are not constrained or not unique, an incomplete search, the sensors.
     """
     decided, unique, fits = (result[name].values for name in ("decided", "unique", "fits"))
     constrained = np.all([result[f"constrained_{axis}"].values for axis in "xyz"], axis=0)
@@ -363,10 +371,7 @@ def rates_words(result: xr.Dataset) -> str:
             f"{count_of_passes(count)}: NO SOLUTION FITS. Possible causes: external torque, changing wheel speed, wrong "
             "inertia, light of the Earth on the panels (a `noise` of 3 % of full Sun under [telemetry] allows for it), faulty data"
         )
-    if "columns_doubt" in attrs:
-        notes.append(attrs["columns_doubt"])
-    if "columns_rivals" in attrs:
-        notes.append(attrs["columns_rivals"])
+    notes += [attrs[name] for name in ("columns_doubt", "columns_rivals") if name in attrs]
     if count := int((fits & unique & ~constrained).sum()):
         notes.append(
             f"{count_of_passes(count)}: single solution, but not all rate components are constrained"
@@ -378,13 +383,13 @@ def rates_words(result: xr.Dataset) -> str:
         )
     if count := sum(model != AS_STATED for model in result["model"].values):
         notes.append(f"{count_of_passes(count)}: an alternative model fits better, as named below")
-    either = fits & unique & (result["probability"].values[:, 0] < DECIDED)
-    if count := int(either.sum()):
+    # unique together with the solution that has the same rates and the opposite Sun direction
+    sign_open = fits & unique & (result["probability"].values[:, 0] < DECIDED)
+    if count := int(sign_open.sum()):
         notes.append(
             f"{count_of_passes(count)}: the sign of the Sun direction is ambiguous; rates are unaffected, attitude is unknown"
         )
-    unlisted = attrs["symmetric_unlisted"]
-    if unlisted:
+    if unlisted := attrs["symmetric_unlisted"]:
         notes.append(
             f"{count_of_passes(unlisted)}: a rotation or mirror of the body gives the same readings; that solution is not listed"
         )
@@ -402,15 +407,17 @@ def rates_words(result: xr.Dataset) -> str:
             f"{more_effort(attrs['effort_given'])}"
         )
     if attrs.get("column_tests_cut"):
-        cure = more_effort(attrs["effort_given"])
-        notes.append(f"not every other order of columns was tried: {cure}")
+        notes.append(
+            f"not every other order of columns was tried: {more_effort(attrs['effort_given'])}"
+        )
     if count := attrs["coarse_passes"]:
         notes.append(
-            f"{count_of_passes(count)}: coarse search, a solution may be missing: {slower(attrs['fine_up_to_rad_s'])}"
+            f"{count_of_passes(count)}: coarse search, a solution may be missing: "
+            f"{advise_lower_limit(attrs['fine_up_to_rad_s'])}"
         )
-    if unsure := attrs["wheels_untold"]:
+    if wheels := attrs["wheels_untold"]:
         notes.append(
-            f"WHEEL SPEED UNKNOWN ({unsure}): assumed 0, so the solution may be wrong. Give speed_rad_s or a speed_column, or "
+            f"WHEEL SPEED UNKNOWN ({wheels}): assumed 0, so the solution may be wrong. Give speed_rad_s or a speed_column, or "
             "remove the wheel if it is at rest"
         )
     late, sigma = attrs["sensors_late_s"], attrs["sensors_late_sigma_s"]
@@ -429,6 +436,7 @@ def rates_words(result: xr.Dataset) -> str:
             )
     unit = attrs["times_rounded_to_s"]
     fastest = float(np.nanmax(np.linalg.norm(result["omega_B"].values, axis=1), initial=0.0))
+    # the turn (rad) in one sigma of a rounded time
     if fastest * unit / np.sqrt(12) > SearchSettings.least_drift_rad:
         notes.append(
             f"times are multiples of {unit:.1g} s at uneven intervals: they count as rounded, with an error that every sigma "
@@ -438,7 +446,7 @@ def rates_words(result: xr.Dataset) -> str:
 
 
 def alike_motions(vehicle: Vehicle) -> str:
-    """Return which motions panels on shared inputs cannot distinguish, in words; empty if they distinguish all."""
+    """Return in words which solutions panels on shared inputs cannot distinguish; empty if they distinguish all."""
     count = len(vehicle.response_in().symmetries)
     if count == 1:
         return ""
@@ -452,5 +460,5 @@ def alike_motions(vehicle: Vehicle) -> str:
 
 
 def count_of_passes(count: int) -> str:
-    """Return 1 pass, 2 passes."""
+    """Return a number of passes in words, such as 1 pass, 2 passes."""
     return f"{count} pass" + "es" * (count > 1)

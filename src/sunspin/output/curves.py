@@ -6,7 +6,7 @@ import numpy as np
 import xarray as xr
 
 from sunspin.environment.frames import J2000
-from sunspin.estimate.observe import HELD, wheel_speeds, wheels_untold
+from sunspin.estimate.observe import HELD, wheel_speeds, wheels_of_unknown_speed
 from sunspin.solve.rotations import matrix_from_quaternion
 from sunspin.vehicle import Vehicle
 
@@ -61,7 +61,7 @@ def with_wheel_speeds(
     if sources:
         speed = np.array(speeds_by_source[max(sources, key=len)])
     # names of wheels whose speed neither file nor telemetry gives
-    unknown = wheels_untold(vehicle, samples)
+    unknown = wheels_of_unknown_speed(vehicle, samples)
     speed[:, [wheel.name in unknown for wheel in vehicle.wheels]] = np.nan
     return motion.assign(wheel_speed_rad_s=(("time", "wheel"), speed))
 

@@ -22,7 +22,7 @@ from sunspin.estimate.periods import (
     ROTATIONS,
     PeriodSeen,
     euler_rates,
-    own_axis,
+    spin_axis,
     weigh_draws,
 )
 from sunspin.vehicle import Vehicle
@@ -78,7 +78,7 @@ def periods_of(motions: DrawnMotions, seen: PeriodSeen, workers: int | None = No
     instants_s = seen.t_s + np.linspace(-HALF_SPAN, HALF_SPAN, INSTANTS) * seen.period_s
     propagated = motions.at(checked_times(instants_s, motions.start_s), workers)
     bodies = motions.rows.bodies_of(motions.vehicle)
-    axis, rates = own_axis(np.array(motions.vehicle.require_inertia())), []
+    axis, rates = spin_axis(np.array(motions.vehicle.require_inertia())), []
     for k in range(INSTANTS):
         omega, speeds = propagated.omega_B[:, k], propagated.wheel_speed_rad_s[:, k]
         momentum = gyrostat.total_momentum(bodies, omega, speeds)

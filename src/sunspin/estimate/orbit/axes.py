@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from sunspin.estimate.column_tests import changes_of_sensor
-from sunspin.estimate.equivalence import ColumnChange, Observed, alike, column_changes
+from sunspin.estimate.equivalence import ColumnChange, Observed, column_changes, equivalent_changes
 from sunspin.estimate.orbit.invariants import (
     FEWEST,
     Predicted,
@@ -70,7 +70,10 @@ def axes_words(change: ColumnChange, assessment: Assessment) -> str:
     """Return in words a result of :func:`better_axes`, how to correct the vehicle file, and exchanged panels that look the same."""
     vehicle, telemetry = assessment.vehicle, assessment.telemetry
     columns = column_changes(vehicle, telemetry)
-    same = [other.what for other, _ in alike(Observed.of(vehicle, telemetry), change, columns)]
+    same = [
+        other.what
+        for other, _ in equivalent_changes(Observed.of(vehicle, telemetry), change, columns)
+    ]
     others = f", or, which looks the same, {' or '.join(same)}: find out which before you set it"
     return (
         f"{change.what} has the angle to the Sun that the orbit predicts, and with the columns of the file it does not"
