@@ -16,7 +16,7 @@ from sunspin.estimate.lander.priors import with_priors
 from sunspin.estimate.lander.window import observe_window
 from sunspin.estimate.observe import wheels_of_unknown_speed
 from sunspin.estimate.posterior import _nothing_drawn, posterior
-from sunspin.estimate.settings import POSTERIOR
+from sunspin.estimate.settings import POSTERIOR, WHEEL_SPEED
 from sunspin.telemetry.assess import assess
 from sunspin.vehicle import Fact, Friction, Vehicle, Wheel
 from sunspin.vehicle.file import parse_vehicle
@@ -80,6 +80,22 @@ def test_the_first_wheel_speed_is_that_of_the_telemetry():
     assert (
         wheels_of_unknown_speed(craft, read) == wheels_of_unknown_speed(craft, telemetry) == ["b"]
     )
+
+
+def test_the_error_of_a_wheel_at_rest_is_that_of_the_file():
+    wheels = (
+        Wheel("a", [0, 0, 1], 1e-4, speed_rad_s=0.0),
+        Wheel("b", [1, 0, 0], 1e-4, speed_rad_s=9.0),
+        Wheel("c", [0, 1, 0], 1e-4, speed_rad_s=2.0),
+    )
+    facts = {"wheel.a.speed_rad_s": Fact(0.0, 5.0), "wheel.b.speed_rad_s": Fact(9.0, 4.5)}
+    craft = replace(small_cube(), wheels=wheels, facts=facts)
+    model, said = model_of(craft, samples(craft))
+    sigmas = [unknown.sigma for unknown in model.unknowns if unknown.kind == "wheel_speed"]
+    assert sigmas == pytest.approx([5.0, 4.5, 2.0 * WHEEL_SPEED])
+    # each source is named
+    assert said["wheel_speed"] == "5 rad/s (vehicle file); 0.5 (vehicle file); 0.005 (assumed)"
+    assert model_of(craft, samples(craft), wheel_speed=0.1)[1]["wheel_speed"] == "0.1 (given)"
 
 
 def test_misalignment_sigmas_come_from_the_file_unless_given():

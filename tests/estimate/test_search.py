@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from sunspin.base.errors import InputError
+from sunspin.estimate import starts
 from sunspin.estimate.budget import USUAL, Budget
 from sunspin.estimate.chain import Chain, fit, propagate
 from sunspin.estimate.copies import distinct
@@ -13,6 +14,8 @@ from sunspin.estimate.model import Body, Model, Noise, Observations, Track
 from sunspin.estimate.search import grown, search
 from sunspin.estimate.settings import AlternativeSettings, SearchSettings
 from sunspin.estimate.starts import (
+    PairStarts,
+    _best_starts,
     aliases,
     aliases_about_two_axes,
     constant_rates,
@@ -122,6 +125,18 @@ def test_a_search_of_faster_starts_alone_finds_a_motion_beyond_the_largest_rate(
     assert turned.min() < 0.35
     model, _ = watched(15.0, max_deg_s=10.0)
     assert not list(pair_starts(model, SEARCH, slowest))
+
+
+@pytest.mark.parametrize("at_once", [1000, 10])
+def test_the_slowest_start_is_kept_however_badly_it_fits(monkeypatch, at_once):
+    """Also if starts are tried in parts: a slow body is lost without it."""
+    monkeypatch.setattr(starts, "STARTS_AT_ONCE", at_once)
+    model, truth = watched(5.0)
+    near = truth.omega[0, 0] + 1e-3 * np.random.default_rng(1).normal(size=(40, 3))
+    rates = np.concatenate([np.zeros((1, 3)), near])
+    pair = PairStarts(np.tile(truth.sun_B[0, 0], (41, 1)), rates, 0.1)
+    speed = np.linalg.norm(_best_starts(model, 0, pair, 4).omega[:, 0], axis=1)
+    assert len(speed) == 4 and speed.min() == 0.0 and np.median(speed) > np.radians(4.0)
 
 
 def test_windows_grow_to_all_samples():

@@ -460,7 +460,7 @@ def _loosen_terms(model: Model, sample: int, apart_rad: float) -> Model:
 
 
 def _best_starts(model: Model, sample: int, pair: PairStarts, most: int) -> Track:
-    """Return the `most` starts at `sample` that fit all samples of the model best, propagated to these samples."""
+    """Return the `most` starts at `sample` that fit all samples of the model best, the slowest among them, propagated to all."""
     loose = _loosen_terms(model, sample, pair.apart_rad)
     tracks, costs_of_parts = [], []
     for part in np.array_split(np.arange(len(pair.omega)), 1 + len(pair.omega) // STARTS_AT_ONCE):
@@ -468,16 +468,19 @@ def _best_starts(model: Model, sample: int, pair: PairStarts, most: int) -> Trac
         track = propagate(model, sample, facing(pair.sun_B[part]), rates)
         prior = (rates**2).sum(axis=1) / (2 * model.rate_sigma**2)
         cost = costs(loose.obs, track).sum(axis=1) + prior
-        best = np.argsort(cost, kind="stable")[:most]
+        best = _best_with_slowest(cost, np.linalg.norm(rates, axis=1), most)
         tracks.append(track.take(best))
         costs_of_parts.append(cost[best])
-    track, cost = Track.joined(tracks), np.concatenate(costs_of_parts)
-    order = np.argsort(cost, kind="stable")
+    track = Track.joined(tracks)
     speed = np.linalg.norm(track.omega[:, sample], axis=1)
-    # the slowest start that is left takes the last place if it is not among the best
+    return track.take(_best_with_slowest(np.concatenate(costs_of_parts), speed, most))
+
+
+def _best_with_slowest(cost: np.ndarray, speed: np.ndarray, most: int) -> np.ndarray:
+    """Return the indices of the `most` smallest of the costs (K), the last of which gives way to the slowest if that is not one."""
+    order = np.argsort(cost, kind="stable")
     slowest = order[np.argmin(speed[order])]
-    best = order[:most] if slowest in order[:most] else np.append(order[: most - 1], slowest)
-    return track.take(best)
+    return order[:most] if slowest in order[:most] else np.append(order[: most - 1], slowest)
 
 
 def _best_of_crowd(model: Model, sample: int, pair: PairStarts, s: SearchSettings) -> PairStarts:

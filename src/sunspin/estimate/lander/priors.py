@@ -45,7 +45,7 @@ ASSUMED, STATED, GIVEN = "assumed", "vehicle file", "given"
 class Sources:
     """Choice of sigmas: those of the caller's `priors` first, then those of the vehicle file, then assumed ones.
 
-    `in_words`: value and source of each sigma by its key, added when the sigma is read.
+    `in_words`: value and source of each sigma by its key, added when the sigma is read; of all wheels, if they differ.
     """
 
     priors: Mapping[str, Any]
@@ -60,7 +60,9 @@ class Sources:
         if key in self.priors:
             value, source = self.priors[key], GIVEN
         require_not_negative(value, f"the prior sigma of {key} must be zero (known) or positive")
-        self.in_words[key] = f"{value:g}{unit} ({source})"
+        words = self.in_words.get(key, "").split("; ")
+        if (new := f"{value:g}{unit} ({source})") not in words:
+            self.in_words[key] = "; ".join(filter(None, [*words, new]))
         return float(value)
 
 
@@ -256,9 +258,15 @@ def _wheel_unknowns(vehicle: Vehicle, mode: Any, sources: Sources) -> list[Unkno
     for i, (wheel, command) in enumerate(zip(vehicle.wheels, commands, strict=True)):
         at = f"wheel.{wheel.name}"
         speed = abs(wheel.speed_rad_s)
-        stated = _stated(vehicle, f"{at}.speed_rad_s", speed)
-        assumed = WHEEL_SPEED if command != "hold" else 0.0
-        sigma = speed * sources.sigma("wheel_speed", stated, assumed)
+        fact = vehicle.facts.get(f"{at}.speed_rad_s")
+        may_turn = fact is not None and fact.sigma is not None
+        if not speed and may_turn and "wheel_speed" not in sources.priors:
+            # of a wheel at rest the sigma is not relative
+            sigma = sources.sigma("wheel_speed", float(np.asarray(fact.sigma)), 0.0, " rad/s")
+        else:
+            stated = _stated(vehicle, f"{at}.speed_rad_s", speed)
+            assumed = WHEEL_SPEED if command != "hold" else 0.0
+            sigma = speed * sources.sigma("wheel_speed", stated, assumed)
         name = wheel_unknown("wheel_speed", vehicle, wheel)
         unknowns.append(Unknown(name, "wheel_speed", "rad/s", wheel.speed_rad_s, sigma, i))
         stated = _stated(vehicle, f"{at}.inertia_kg_m2", wheel.inertia_kg_m2)
