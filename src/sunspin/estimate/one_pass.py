@@ -142,9 +142,10 @@ def search_again(nominal: Model, fits: list[Fit], s: RatesSettings, budget: Budg
     if inertia_by_sun and not nominal.body.sphere and best_cost(fits) > limit:
         free = search_and_fit(nominal, s.ladder.strong, inertia_held=False)
         fits = min(fits, free, key=best_cost)
-    # Second: torques stand for the nutation of a body that the search took for a sphere, and for errors of a known inertia.
+    # Second: torques stand for the nutation of a body that the search took for a sphere, and for errors of a known inertia; or they
+    # act, as the magnetic one, and one direction does not tell which motion they bend.
     strained = any(map(len, fits)) and best_fit(fits).model.noise.acceleration >= s.ladder.strained
-    if strained and inertia_by_sun:
+    if strained and (inertia_by_sun or leading_field(nominal) is not None):
         fits = merge_fits(fits + under_strong_torques(), s.ladder, s.search)
     # Third: without an inertia a motion beyond a largest rate that nobody stated may fit as well.
     may_be_faster = inertia_by_sun and nominal.body.sphere and s.alternatives.beyond > 1
