@@ -1,10 +1,14 @@
 """Panels on four sides: two full scales and both mirror images are searched, neither image is decided, and faults mislead none."""
 
 from dataclasses import replace
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
 
+from sunspin.base.errors import InputError
+from sunspin.estimate import one_pass
+from sunspin.estimate.budget import Budget
 from sunspin.estimate.chain import defects, equations, propagate
 from sunspin.estimate.images import either_side, imaged, images_of, with_images
 from sunspin.estimate.model import Noise, Track
@@ -38,6 +42,23 @@ def test_another_full_scale_is_searched_only_for_panels_in_one_plane(craft, coun
         assert np.ptp(ratio) < 1e-12 and abs(ratio[0] - 1) >= SCALE_TOLERANCE
         stated = replace(panels, power=panels.power / 1.3)
         assert len(stated.for_search()) == 1
+
+
+def test_a_full_scale_without_a_motion_leaves_the_search_to_the_other(monkeypatch):
+    data, _ = cube_with_faults((), np.random.default_rng(3), FOUR_SIDES)
+    model = stated_model(FOUR_SIDES, data.assign(power_W=1.3 * data["power_W"]))
+    refuse = InputError("no rate takes the Sun there", do="raise the limit")
+
+    def searched_with(*results):
+        """Return the motions of a search in which the models in turn have these results."""
+        monkeypatch.setattr(one_pass, "search", Mock(side_effect=results))
+        return one_pass.search_motions(model, 1e-4, SEARCH, Budget(np.inf))
+
+    motions = Track.free(np.eye(3)[None, None], np.zeros((1, 1, 3)))
+    motions = replace(motions, cost=np.zeros(1))
+    assert len(searched_with(refuse, motions)) == len(searched_with(motions, refuse)) == 1
+    with pytest.raises(InputError):
+        searched_with(refuse, refuse)
 
 
 @pytest.mark.parametrize("seed", [3, pytest.param(4, marks=pytest.mark.long)])

@@ -395,3 +395,14 @@ def test_without_albedo_no_light_of_the_earth_is_estimated():
     data, _ = cube_with_faults((), np.random.default_rng(1))
     read, _ = Panels.read(assess(CUBE, data))
     assert read.earth_share < FAINT and read.of_pass(data["time"].values).earth is None
+
+
+def test_samples_without_a_gyro_reading_do_not_sharpen_it_in_the_search():
+    read = np.full((100, 3), np.nan)
+    read[::10] = 0.02
+    gyro = GyroRates(read, 1e-4, np.full(3, 1e-2), 0.0)
+    assert gyro.for_search()[0].sigma == pytest.approx(1e-2, rel=1e-3)
+    assert (
+        GyroRates(np.full((5, 3), np.nan), 1e-4, np.full(3, 1e-2), 0.0).for_search()[0].sigma
+        == 1e-4
+    )

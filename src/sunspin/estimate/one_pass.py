@@ -243,13 +243,14 @@ def search_motions(
     """Return the motions that a search under unknown torques of the strength `noise` (rad/s^1.5) leaves.
 
     There is a track for each model that is searched: several if readings may mean several things, as those of panels whose full
-    scale is in doubt (`Model.for_search`). `slowest` (rad/s): no start is slower. If it is zero and no motion is left, InputError
-    is raised. If not, slower motions were searched before: one pair of samples to start from is enough, and the list may be empty.
+    scale is in doubt (`Model.for_search`). `slowest` (rad/s): no start is slower. If it is zero and no model has a motion,
+    InputError is raised. If not, slower motions were searched before: one pair of samples to start from is enough, and the list may
+    be empty.
     `inertia_held`: the errors of the inertia are no unknowns while the window grows; else the search takes longer.
     """
     # In axes that follow the magnetic field, and turn in space, a true motion may exceed the cost limit: no further pairs then
     search_settings = s if leading_field(nominal) is None else replace(s, more_places=0)
-    tracks = []
+    tracks, refused = [], None
     for model in models_to_search(nominal, Noise(noise)):
         starts, body = pair_starts(model, s, slowest), model.body
         if not inertia_held:
@@ -262,11 +263,12 @@ def search_motions(
         try:
             places = 1 if slowest else pairs_to_try(model, s)
             motions = search(chain, starts, search_settings, budget, places)
-        except InputError:
-            if not slowest:
-                raise
+        except InputError as error:
+            refused = error
             continue
         tracks.append(to_nominal_axes(nominal, model, drop_faster(model, motions, s), s))
+    if refused is not None and not (tracks or slowest):
+        raise refused
     return tracks
 
 

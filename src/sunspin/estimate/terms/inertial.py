@@ -111,6 +111,7 @@ class GyroRates(Term):
         gyro would not help the search.
         """
         by_u = replace(self, zero_sigma=self.zero_sigma * self.zero_stated)._reading_by_u
+        by_u = by_u[self.present()]  # the others are zero
         rms_error = np.sqrt((by_u**2).sum(axis=(1, 2)).mean() / 3) if by_u.size else 0.0
         sigma = float(np.hypot(self.sigma, rms_error))
         return [replace(self, sigma=sigma, zero_sigma=np.zeros(3), scale_sigma=0.0)]
