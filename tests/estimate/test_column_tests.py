@@ -7,6 +7,7 @@ import pytest
 import xarray as xr
 from scipy.spatial.transform import Rotation
 
+from sunspin.estimate import columns
 from sunspin.estimate.budget import Budget
 from sunspin.estimate.column_tests import (
     BetterChanges,
@@ -17,10 +18,12 @@ from sunspin.estimate.column_tests import (
     what_fits_better,
 )
 from sunspin.estimate.equivalence import Observed, column_changes
+from sunspin.estimate.rates import rates
 from sunspin.vehicle import Panel, Vehicle
 from sunspin.vehicle.sensors import Attitude, Gyro, Magnetometer, Sensors
 from tests.support import simulate
 from tests.support.vehicles import CUBE_NORMALS
+from validation.passes import make
 
 CUBE = replace(
     simulate.CUBE_WITHOUT_NOISE_STATED,
@@ -186,6 +189,19 @@ def test_a_sensor_that_no_axes_explain_is_named_if_it_contradicts_the_others(nam
     assert isinstance(found, ContradictingSensor)
     assert found.words().startswith(f"without the {found.sensor} the other readings fit")
     assert f"`--without {option}`" in found.words()
+
+
+def test_no_pass_is_decided_if_a_sensor_contradicts_the_others(monkeypatch):
+    """Two of four passes of a spinner fitted with a magnetometer along other axes, and were decided far from the truth."""
+    made = make("right model", 0, 1)
+    result = rates(made.vehicle, made.telemetry, max_rate_rad_s=made.max_rate_rad_s)
+    assert result["decided"].all()
+    monkeypatch.setattr(columns, "what_fits_better", lambda *_: ContradictingSensor("gyro"))
+    observed = columns.what_was_observed(made.vehicle, made.telemetry, result.attrs)
+    doubted = columns._with_other_columns(result, observed, made.telemetry, Estimators)
+    assert not doubted["decided"].any()
+    assert "the gyro contradicts the other readings" in str(doubted["why_not_decided"].values[0])
+    assert "`--without gyro`" in doubted.attrs["columns_doubt"]
 
 
 def test_a_gyro_with_a_wrong_zero_is_named_only_if_the_rest_fits_without_it():

@@ -17,7 +17,7 @@ from sunspin.estimate.terms.directions import SunDirections
 from sunspin.estimate.terms.earth_light import EarthLight
 from sunspin.estimate.terms.field import FieldChange, FieldDirection, KnownField
 from sunspin.estimate.terms.inertial import AttitudeChange, GyroRates, Latency, RateMagnitudes
-from sunspin.estimate.terms.panels import Panels, ReadingTimes
+from sunspin.estimate.terms.panels import DEFAULT_EARTH_SHARE, Panels, ReadingTimes
 from sunspin.estimate.terms.term import facing
 from sunspin.estimate.terms.torques import (
     ConstantTorque,
@@ -33,6 +33,7 @@ from sunspin.vehicle.sensors import Sensors
 from tests.support.passes import slope_of
 from tests.support.simulate import CUBE, MAGNETOMETER, cube_with_faults, cube_with_late_sensor
 from tests.support.vehicles import CUBE_NORMALS, units
+from validation.passes import make
 
 T_S = np.array([0.0, 11.0, 25.0, 33.0, 48.0, 60.0])
 N = len(T_S)
@@ -406,3 +407,12 @@ def test_samples_without_a_gyro_reading_do_not_sharpen_it_in_the_search():
         GyroRates(np.full((5, 3), np.nan), 1e-4, np.full(3, 1e-2), 0.0).for_search()[0].sigma
         == 1e-4
     )
+
+
+@pytest.mark.parametrize("count", [1, 6])
+def test_panels_that_cannot_show_the_light_of_the_earth_have_it_as_an_unknown(count):
+    """A single panel is never opposite to a lit one. Six panels would show it, and here there is hardly any."""
+    made = make("right model", 0, 1)
+    vehicle = replace(made.vehicle, panels=made.vehicle.panels[:count])
+    panels, _ = Panels.read(assess(vehicle, made.telemetry.isel(panel=slice(count))))
+    assert panels.earth_share == DEFAULT_EARTH_SHARE if count == 1 else panels.earth_share < 0.05

@@ -230,7 +230,7 @@ def _with_other_columns(
 ) -> xr.Dataset:
     """Return the result with the changes that make the longest unfitted pass fit, or with the sensor that contradicts the others.
 
-    If all passes fit, the longest of all is tried, since its samples or a wheel raise doubts of the columns.
+    Either leaves no pass decided. If all passes fit the longest is tried: its samples or a wheel raise doubts of the columns.
     """
     unfitted = np.flatnonzero(~result["fits"].values)
     of_pass = samples_of(result, telemetry, _longest(result, unfitted if len(unfitted) else None))
@@ -240,7 +240,9 @@ def _with_other_columns(
         return result
     if isinstance(better, BetterChanges):
         return _with_named_changes(_undecided(result, "columns, signs or axes"), better)
-    return result.assign_attrs(columns_doubt=better.words())
+    # it acts in all passes: of a spinner whose magnetometer was read along other axes two of four passes fitted, far from the truth
+    doubted = _undecided(result, f"the {better.sensor} contradicts the other readings")
+    return doubted.assign_attrs(columns_doubt=better.words())
 
 
 def _with_rivals(

@@ -46,8 +46,10 @@ LEAST_SUN_FRACTION, SHADOW_ZERO_SHARE = 0.01, 0.03
 the shadow in addition to their noise, as a share of full Sun."""
 
 DEFAULT_EARTH_SHARE = 0.09
-"""Earth's light on a panel that faces the Earth, as a share of full Sun, if an orbit gives its direction but the file has too few
-readings to determine its size. It corresponds to :data:`sunspin.telemetry.quality.ALBEDO_DEFAULT` on panels in the dark."""
+"""Earth's light on a panel that faces the Earth, as a share of full Sun, if the file does not show its size. So it
+is if an orbit gives its direction, but there are too few readings; or if no panel is opposite to a lit one, and so in the Earth's
+light alone: a spinner with one panel was decided 9 sigma off without it. It corresponds to
+:data:`sunspin.telemetry.quality.ALBEDO_DEFAULT` on panels in the dark."""
 
 TINY, N_SUN_DIRECTIONS = 1e-6, 500
 """Limit below which a singular value of the panel normals, or a relative change of a reading, counts as zero; and number of Sun
@@ -139,6 +141,7 @@ class Panels(Term):
         shown = quality["reading"].values & ~quality["dead"].values
         zeros = SHADOW_ZERO_SHARE * quality.attrs["full_sun"] * quality["gain"].values
         dark = np.hypot(quality["noise"].values, zeros)
+        never_alone = quality.attrs["albedo_samples"] == 0
         panels = cls(
             power=signals(assessment.telemetry),
             # with the Earth's light as noise, until `of_pass` models it; without the errors of the gains
@@ -155,7 +158,7 @@ class Panels(Term):
             sigma_light_modelled=quality["sigma_beside_earth"].values,
             dark_sigma=np.where(shown, dark, np.inf),
             sun_up=np.ones(len(shown)),
-            earth_share=quality.attrs["earth_light"],
+            earth_share=DEFAULT_EARTH_SHARE if never_alone else quality.attrs["earth_light"],
         )
         return panels, quality["why"].values.astype(object)
 
