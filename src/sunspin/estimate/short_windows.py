@@ -26,7 +26,7 @@ WINDOW_SAMPLES = 7
 """Samples of a window, about. Passes of up to six samples are also tried without each of them, which takes four times as long."""
 
 MOST_WINDOWS = 40
-"""Windows of a file, at most: longer passes have longer windows. Each takes a second or two."""
+"""Windows of a file, at most: longer passes have longer windows. Each takes a second or two, with a magnetometer up to ten."""
 
 FEWEST_WINDOWS = 3
 """Windows with a single solution that fits, at least, for a conclusion about a pass."""
