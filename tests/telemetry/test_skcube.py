@@ -44,7 +44,7 @@ def test_the_decoder_removes_escapes_and_counts_unreadable_frames(tmp_path):
         archive.writestr("notes.txt", b"no beacon")
     beacons = decode_beacons(raw)
     assert beacons.rows["ADCS"] == [(1498201375, "OM3KAA", tuple(adcs))]
-    assert beacons.kinds == {"ADCS": 1, "other": 1} and sum(beacons.unread.values()) == 4
+    assert beacons.counts == {"ADCS": 1, "other": 1} and sum(beacons.unread.values()) == 4
     assert beacons_csv(beacons, "ADCS").splitlines()[0].startswith("unix_s_rx,station,adcsMode")
     others = beacons_csv(beacons, "other").splitlines()
     assert others == ["unix_s_rx,station,frame", "1498201379,OM3KAA,040102"]
@@ -110,7 +110,7 @@ def test_decode_refuses_a_file_that_is_no_zip_in_one_sentence(content, tmp_path)
 @pytest.mark.real_data
 def test_the_decoded_table_equals_the_published_one(data_dir, reached):
     beacons = decode_beacons(data_dir / "skcube" / "skcube_raw_23_27_june.zip")
-    assert beacons.kinds == {"ADCS": 252, "CDHS": 265, "COM": 301}
+    assert beacons.counts == {"ADCS": 252, "CDHS": 265, "COM": 301}
     assert set(beacons.unread) == {"too short for a beacon"}
     ours = beacons_csv(beacons, "ADCS").splitlines()
     theirs = (data_dir / "skcube" / "skcube_adcs.csv").read_text().splitlines()[: len(ours)]

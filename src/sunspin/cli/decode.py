@@ -45,25 +45,27 @@ def decode(raw: Path, decoder: str, output: Output) -> None:
 
 
 def _decode_skcube(raw: Path, folder: Path, output: Output) -> None:
-    """Write the tables of skCUBE's beacons and print their numbers."""
+    """Write a table (CSV) for each kind of skCUBE's beacons, and report how many were decoded and how many frames were not read."""
     from sunspin.output.folder import results_folder, write_whole
     from sunspin.telemetry.decoders.skcube import beacons_csv, decode_beacons
 
     beacons = decode_beacons(raw)
+    counts = beacons.counts  # kind -> number of beacons
     results_folder(folder, "decode")
     files: dict[str, str] = {}
-    for kind in beacons.rows:
+    for kind in counts:
         text, target = beacons_csv(beacons, kind), folder / f"skcube_{kind.lower()}.csv"
         files[kind] = str(write_whole(target, text))
-    lines = [f"{n:6d}  {kind} beacons: {files[kind]}" for kind, n in beacons.kinds.items()]
+    lines = [f"{n:6d}  {kind} beacons: {files[kind]}" for kind, n in counts.items()]
     lines += [f"{n:6d}  not read: {why}" for why, n in beacons.unread.items()]
-    attitude = {"attitude_beacons": beacons.kinds.get("ADCS", 0), "file": files.get("ADCS")}
-    summary = {"frames": beacons.kinds, "unread": beacons.unread, "files": files, **attitude}
+    # attitude beacons are those of the kind ADCS
+    summary: dict[str, Any] = {"frames": counts, "unread": beacons.unread, "files": files}
+    summary |= {"attitude_beacons": counts.get("ADCS", 0), "file": files.get("ADCS")}
     output.report(summary, lines)
 
 
 def _decode_by_program(raw: Path, decoder: str, folder: Path, output: Output) -> None:
-    """Write the table of the frames that satnogs-decoders decodes, and a [telemetry] section if the names of its columns tell."""
+    """Write a table (CSV) of the frames that satnogs-decoders decodes, and a [telemetry] section if columns look like panels."""
     from sunspin.base.tables import read_table
     from sunspin.output.folder import results_folder, write_whole
     from sunspin.telemetry.decoders.satnogs import (
@@ -73,7 +75,7 @@ def _decode_by_program(raw: Path, decoder: str, folder: Path, output: Output) ->
     )
     from sunspin.telemetry.suggest import suggest_section
 
-    require_decoder_name(decoder)  # the name of the folder, if none is given
+    require_decoder_name(decoder)  # it names the folder if none is given
     # a folder that cannot be written is refused before the program runs, which may take minutes
     results_folder(folder, "decode")
     decoded = decode_by_program(decoder, raw)

@@ -253,12 +253,17 @@ def _with_rivals(
     estimators: Estimators,
     least_gain: float,
 ) -> xr.Dataset:
-    """Return the result with its rivals, if any: other columns that fit the longest decided pass about as well as the file.
+    """Return the result after a test of rivals: other columns that fit the longest decided pass about as well as the file.
 
-    Rivals that are clearly better accuse the file: they are named, and no pass is decided. Others with a probability of one in ten
-    (`AS_PROBABLE`) and another rate leave no pass decided either. Those that the data do not exclude are listed, with their rates,
-    in attrs["columns_rivals"]. `costs`: of the samples of the longest pass, decided or not. `least_gain`: log evidence by which a
-    rival must be better than the file, that of reversed wheels if a wheel is in doubt, else 0 for no limit.
+    Rivals have one of three consequences, the first that applies. In 2 and 3 only rivals with another rate count:
+
+    1. A rival is clearly better: the file is wrong. The rivals are named, and no pass is decided.
+    2. A rival has at least one in ten of the probability (`AS_PROBABLE`): no pass is decided.
+    3. The data do not exclude a rival (`EXCLUDED`): it is listed with its rates in attrs["columns_rivals"].
+
+    Without readings of panels or a decided pass nothing is tested. `costs`: of the samples of the longest pass, decided or not.
+    `least_gain`: rivals with a smaller gain in log evidence over the file are ignored; it is the gain of reversed wheels if a wheel
+    is in doubt, else 0, with which none is ignored.
     """
     decided = np.flatnonzero(result["decided"].values)
     if "noise" not in result.attrs or not len(decided):
@@ -269,18 +274,20 @@ def _with_rivals(
         what_was_observed(observed.vehicle, of_pass, result.attrs),
         sun_B=result["sun_B"].values[result["pass_of"].values == k],
     )
-    if k != _longest(result):
+    if k != _longest(result):  # `costs` are of another pass
         costs = SampleCosts.of(observed.vehicle, of_pass)
-    # The evidence of a pass in a file of several was computed with the other passes, that of a change is computed by itself.
+    # A rival is estimated on this pass alone. The result was estimated with all passes of the file: its evidence can be compared
+    # only if this pass is the whole file. Else (None) the file as written is estimated on this pass alone too.
     is_whole_file = of_pass.sizes["time"] == telemetry.sizes["time"]
     as_written = float(result.attrs["log_evidence"][k]) if is_whole_file else None
     noise = noise_of(result, observed.vehicle)
     rivals = rival_exchanges(observed_in_pass, of_pass, costs, noise, estimators, as_written)
-    rivals = [rival for rival in rivals if rival.gain >= least_gain or not least_gain]
+    if least_gain:
+        rivals = [rival for rival in rivals if rival.gain >= least_gain]
 
-    # 1. Rivals that accuse the file. Evidence alone does not: of a slow body that was searched up to 40 times its rate, a change of
-    # dark columns had 11.7 more although its best motion fitted worse. So the cost must be lower too, unless the file fits with
-    # misaligned panels: these may stand for exchanged columns, and then its cost is low.
+    # 1. The file is wrong. More evidence is not enough, and the cost of the best motion must be lower too: for a slow body that was
+    # searched up to 40 times its rate, exchanged dark columns had 11.7 more in log evidence and yet fitted worse. If the file fits
+    # with misaligned panels, any cost will do: the misalignment may stand for exchanged columns and then makes the cost low.
     misaligned = str(result["model"].values[k]).startswith(MISALIGNED)
     most_cost = np.inf if misaligned else float(result["cost"].values[k, 0]) - CLEARLY
     accusing = [rival for rival in rivals if rival.gain > CLEARLY and rival.cost <= most_cost]
@@ -291,7 +298,7 @@ def _with_rivals(
         result = _undecided(result, "columns, signs or axes")
         return _with_named_changes(result, replace(best, changes=changes))
 
-    # 2. Rivals with another rate: if the rates are the same, the result is right with either.
+    # 2. Rivals are as probable. Only those with another rate count: if the rates are the same, the result is right with either.
     omega, sigma = (
         np.array([result[f"{name}_{axis}"].values[k, 0] for axis in "xyz"])
         for name in ("omega", "sigma")
@@ -305,7 +312,7 @@ def _with_rivals(
         reason = f"other columns fit as well (with {what})"
         return _undecided(result, reason, COLUMNS_UNCHECKED).assign_attrs(columns_doubt=words)
 
-    # 3. Rivals that are not excluded.
+    # 3. The data do not exclude rivals.
     not_excluded = [rival for rival in others if rival.gain > -EXCLUDED]
     if not not_excluded:
         return result

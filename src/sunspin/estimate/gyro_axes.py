@@ -84,6 +84,7 @@ def wrong_gyro_axes(assessment: Assessment) -> str | None:
 def _columns_instead(vehicle: Vehicle, telemetry: xr.Dataset, matrix: np.ndarray) -> str:
     """Return in words which exchanged columns look the same as a gyro whose rates are multiplied by `matrix` (3, 3), if any do."""
     gyro = ColumnChange("the gyro", axes={"gyro_B": matrix})
+    # what the wheels do, in words: the first of the possibilities
     wheels = next(iter(wheel_models(vehicle, telemetry)))
     observed = Observed.of(vehicle, telemetry, momenta=momentum_of_each(vehicle, telemetry, wheels))
     same = equivalent_changes(observed, gyro, column_changes(vehicle, telemetry))
@@ -96,23 +97,28 @@ def _columns_instead(vehicle: Vehicle, telemetry: xr.Dataset, matrix: np.ndarray
 def _rotations_with_wheels(
     vehicle: Vehicle, telemetry: xr.Dataset, rates: list[np.ndarray]
 ) -> list[np.ndarray]:
-    """Return rotation vectors (n - 1, 3) between samples of a free body with wheels, for each of several rates (n, 3).
+    """Return the rotations between samples of a free rigid body with wheels, for each way to read the gyro.
 
-    The list is empty if inertia or wheels are not known, or if the wheels turn the body rate by more than `MOST_NUTATION_RAD`
-    between two samples, which is not integrated.
+    `rates`: for each way the rates (n, 3) at the samples, rad/s, in body axes, NaN where not read; the equations of motion carry
+    each to the next sample. The result has for each way rotation vectors (n - 1, 3), rad, with the sign of
+    :func:`rotations_between_samples`, NaN where the rate at the start was not read. It is empty if inertia or wheels are not
+    known, or if the wheels turn the vector of the rate by more than `MOST_NUTATION_RAD` between two samples: the integration does
+    not follow that.
     """
     if vehicle.inertia_kg_m2 is None or not vehicle.wheels:
         return []
+    # by measured speeds, or else by wheels that are held: the first of the possibilities
     body, momentum = Body.of(vehicle), next(iter(wheel_models(vehicle, telemetry).values()))
     dt = np.diff(telemetry["time"].values)
-    largest_rad = nutation(body.inertia, momentum[:-1]).max(initial=0.0) * dt.max(initial=0.0)
-    if not largest_rad <= MOST_NUTATION_RAD:  # nor if it is NaN
+    turned_rad = nutation(body.inertia, momentum[:-1]).max(initial=0.0) * dt.max(initial=0.0)
+    if not turned_rad <= MOST_NUTATION_RAD:  # also if it is NaN
         return []
-    at_start = np.nan_to_num(rates)[:, :-1]  # (48, n - 1, 3)
+    at_start = np.nan_to_num(rates)[:, :-1]  # (way, n - 1, 3)
     stepped = step(body.inertia, at_start, dt, (momentum[:-1], momentum[1:]))
-    # a rotation t of the body multiplies its attitude by exp(-[t x])
+    # `turned` multiplies attitudes B_from_N: if the body rotates by the vector t, it is exp(-[t x])
     rotations = -Rotation.from_matrix(stepped.turned.reshape(-1, 3, 3)).as_rotvec()
     rotations = rotations.reshape(len(rates), -1, 3)
+    # all ways read the same three columns
     was_read = np.asarray(np.isfinite(rates[0][:-1]).all(axis=1))
     rotations[:, ~was_read] = np.nan
     return list(rotations)

@@ -43,19 +43,20 @@ def imaged(motions: Track, image: np.ndarray) -> Track:
 
 
 def with_images(motions: Track, model: Model, s: SearchSettings) -> Track:
-    """Return motions and the images of the :data:`MOST_FAMILIES` best of them that are not images of each other.
+    """Return motions, and after them the images of the best ones: all mirrored and rotated copies with the same panel readings.
 
-    `motions`: the best first. All of them come first in the result too, then the images; none has cost or covariance.
+    `motions`: the best first. A motion and its images are a family; a motion that is a copy of a member of an earlier family begins
+    none. Images are made for the first :data:`MOST_FAMILIES` families. If the panels have no symmetry, the motions are returned as
+    they are; else nothing in the result has cost or covariance, as each is fitted again.
     """
-    images = images_of(model)
+    images = images_of(model)  # the identity first
     if len(images) == 1 or not len(motions):
         return motions
-    # A family is a motion with all its images. A further motion that is a copy of one of a family makes no new family.
     t_s, outlines_of_families, added = model.obs.t_s, [], []
     for k in range(len(motions)):
         motion = motions.take(slice(k, k + 1))
         outline = Outline.of(motion, t_s)
-        # images have no covariance, so that rates are not compared: the allowance of zero sigmas has no effect
+        # compared by their rotations alone (0 sigmas): images have no covariance, without which rates cannot be compared
         if any(outline.copies(0, o, s.copies_rad, 0.0).any() for o in outlines_of_families):
             continue
         family = Track.joined([imaged(motion, image) for image in images])
@@ -72,7 +73,7 @@ def either_side(motions: Track) -> np.ndarray:
     opposite = (
         np.einsum("kni,ni->kn", motions.sun_B, motions.sun_B[0]).max(axis=1) < OPPOSITE_COSINE
     )
-    # (n) of the size of the rate vector's error: root of the trace of the covariance
+    # (n) one sigma of the rate vector in rad/s: the root of the trace of its covariance
     sigma = np.sqrt(np.einsum("nii->n", motions.covariance[0, :, RATE, RATE]))
     off = np.linalg.norm(motions.omega - motions.omega[0], axis=-1)
     same_rate = (off < SAME_SIGMAS * sigma).all(axis=1)

@@ -417,6 +417,7 @@ def wheel_speeds(vehicle: Vehicle, telemetry: xr.Dataset, t_s: np.ndarray) -> di
         return {MEASURED: _interpolated(t_s, telemetry, nominal)}
     held = {HELD: np.broadcast_to(nominal, (len(t_s), len(nominal)))}
     after_s = t_s - _coast_from_s(telemetry)
+    # wheels at rest do not coast
     return held | (_coasting(vehicle, after_s) if nominal.any() else {})
 
 
@@ -464,7 +465,11 @@ def _interpolated(t_s: np.ndarray, telemetry: xr.Dataset, nominal: np.ndarray) -
 
 
 def wheels_of_unknown_speed(vehicle: Vehicle, telemetry: xr.Dataset) -> list[str]:
-    """Return the names of wheels whose speed neither the vehicle file nor the telemetry gives, so that they count as at rest."""
+    """Return the names of wheels that count as at rest because neither the vehicle file nor the telemetry gives them a speed.
+
+    A `speed_rad_s` of zero is the default of the file and does not count as given. Without an inertia there is none, as all wheels
+    are then ignored (:func:`wheel_models`).
+    """
     if vehicle.inertia_kg_m2 is None:
         return []
     measured = np.full((1, len(vehicle.wheels)), np.nan)

@@ -300,15 +300,22 @@ def draw_models(
     chosen = [h for h in range(len(fits)) if h == 0 or promising[h]]
     # the budget is divided before the first draw, so that results do not depend on which model is ready first
     most = (budget.most - budget.used) / (len(chosen) + 1) / count
-    limit = nominal.carrier.cost_limit(slice(0, count))
+    cost_limit = nominal.carrier.cost_limit(
+        slice(0, count)
+    )  # cost that a true motion does not exceed
 
     def with_draws(h: int) -> tuple[ModelFit, Budget]:
-        """Return the fit of model h with draws, and the budget that they used, in motions over the whole stretch."""
+        """Return the fit of model h with draws, and the budget spent on them, in motions over the whole stretch of samples.
+
+        A fit that has draws already is returned as it is, with nothing spent. The likeliest model gets all draws of the settings,
+        another the part `others_draws`. If even the best motion costs more than `beyond` times what a true motion may, few draws
+        in two rounds are enough to say by how much the model fails.
+        """
         fit, sampling, spent = fits[h], settings.sampling, Budget(most)
         if fit.draws is not None:
             return fit, spent
         part = 1.0 if evidence[h] == evidence.max() else settings.others_draws
-        if fit.motions.cost.min() > settings.beyond * limit:  # no motion fits
+        if fit.motions.cost.min() > settings.beyond * cost_limit:
             part, sampling = part * settings.beyond_draws, replace(sampling, rounds=2)
         sampling = replace(
             sampling, draws=int(part * sampling.draws), wanted=part * sampling.wanted

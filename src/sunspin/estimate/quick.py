@@ -53,10 +53,12 @@ def quick_evidence(
 
 
 def sum_of_log_sigmas(panels: Panels) -> float:
-    """Return the sum of the logs of all sigmas of readings and of brightness: the norm of their likelihood, which costs leave out.
+    """Return the sum of the logs of the sigmas of all panel readings, and of the brightness factor of each sample.
 
-    Since the sigmas depend on the order of the columns, evidence that compares such orders needs the norm. A reading that is left
-    out counts with full Sun as its sigma. Panels without any signal do not count.
+    It is the part of minus log likelihood that comes from the normalisation 1 / sigma of each density, which the costs leave out.
+    Sigmas belong to columns: evidence that compares orders of the columns must include it. A reading that is left out, with an
+    infinite sigma, counts with full Sun as its sigma: as if it could be anything up to that. Panels that count in no sample of the
+    file, and samples without a finite sigma of the brightness, are left out of the sum.
     """
     sigma = np.where(np.isfinite(panels.sigma), panels.sigma, panels.full_sun)
     sigma = sigma[:, panels.ever_shown]

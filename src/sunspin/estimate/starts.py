@@ -378,9 +378,12 @@ def _alias_step(model: Model, s: AlternativeSettings) -> float | None:
 
 
 def _errors_of_body(body: Body, rates: np.ndarray, otherwise: np.ndarray) -> np.ndarray:
-    """Return the errors (K, e), in sigmas, of inertias whose inverse is proportional to `rates` (K, 3, 3); if none, `otherwise`."""
+    """Return the errors (K, e), in sigmas, of the inertias whose inverse is proportional to `rates` (K, 3, 3).
+
+    Motions whose `rates` are not proportional to the inverse of an inertia keep the errors `otherwise` (K, e).
+    """
     lowest, _, highest = np.linalg.eigvalsh(rates).T
-    # all of one sign: they are negative if the body turns the other way about L
+    # the eigenvalues of an inverse inertia have one sign; here that is negative if the body turns the other way about L
     is_inertia = (lowest > 0) | (highest < 0)
     inertia = np.linalg.inv(np.where(is_inertia[:, None, None], rates, np.eye(3)))
     inertia *= 3 / np.trace(inertia, axis1=1, axis2=2)[:, None, None]  # in mean moments
@@ -391,26 +394,28 @@ def _errors_of_body(body: Body, rates: np.ndarray, otherwise: np.ndarray) -> np.
 
 
 def other_bodies(motions: Track, model: Model) -> Track:
-    """Return the most probable motion, the first of K, as that of six bodies: with each order of the three moments of inertia.
+    """Return the most probable of K motions, the first, once for each of the six orders of the three moments of inertia.
 
-    It is for a body without an inertia, which the search took for a sphere; else the result is empty. A rotation about a principal
-    axis does not change if the moments change a little, so that a fit that begins at a sphere may stay there.
+    This is for a body without a stated inertia, which the search took for a sphere; for any other body the result is empty. The
+    moments change by +1, 0 and -1 sigma; attitudes and rates stay the same. A fit that begins at the sphere may never leave it,
+    since a rotation about a principal axis is the same for a body with slightly other moments.
     """
     if not (model.body.sphere and len(model.body.errors) and len(motions)):
         return motions.take(slice(0))
     best = motions.take(np.zeros(len(OTHER_BODIES), dtype=int))
-    # (3, e) derivative of each moment by each error, in sigmas: one for its own error, zero for all others
+    # (3, e) 1 where an unknown of the inertia is the error of that moment; 0 for the other moments and the products of inertia
     sizes = np.linalg.norm(model.body.errors, axis=(1, 2))
-    by_error = np.einsum("eii->ie", model.body.errors) / sizes
+    is_error_of_moment = np.einsum("eii->ie", model.body.errors) / sizes
     u = best.u.copy()
-    u[:, model.inertia_slice] += OTHER_BODIES @ by_error
+    u[:, model.inertia_slice] += OTHER_BODIES @ is_error_of_moment
     return Track(best.attitude, best.omega, u)
 
 
 def grid_step(directions: int, dt: float, rate_max: float, s: SearchSettings) -> float:
-    """Return the step (rad/s) of a grid of rates up to `rate_max`: half a basin on either side of a point, as a rotation in `dt` s.
+    """Return the step (rad/s) of a grid of rates up to `rate_max`: the radius of a basin, as a rotation in `dt` s.
 
-    The step is wider if the grids of all `directions` to the Sun would have more than `s.most_starts` points together.
+    So every rate has a point of the grid within its basin. The step is wider if the grids of all `directions` to the Sun would have
+    more than `s.most_starts` points together.
     """
     # a ball of the radius r has 4 pi / 3 (r / step)^3 points
     widest = rate_max * (4 * np.pi / 3 * directions / s.most_starts) ** (1 / 3)

@@ -84,21 +84,22 @@ class WrongUnit(NamedTuple):
 
 
 def reading_unit(vehicle: Vehicle, value: np.ndarray) -> str:
-    """Return the unit of panel readings (n, n_panel), "W" or "A"; an empty text for angles, and if the file does not determine it.
+    """Return the unit of panel readings (n, n_panel), "W" or "A"; an empty text if the vehicle file does not determine it.
 
-    Gains in W or A determine the unit. With relative gains a stated scale does, unless the readings are too large for the unit: the
-    scale may be left over from an example file.
+    The unit is certain if the gains are in the unit of the file's `quantity`, or if voltages turn currents into powers. With
+    relative gains it is that of `quantity` if the file states `telemetry.scale`, unless the readings of bright samples exceed
+    `LARGEST`: then the scale may be left over from an example file. Angles of the Sun have no such unit.
     """
     form, unit = vehicle.telemetry, UNITS[vehicle.telemetry.quantity]
     if form.has_angles:
         return ""
     if vehicle.gain_unit == unit or form.has_voltages:
         return unit
-    largest = np.where(np.isfinite(value), value, 0.0).max(axis=1, initial=0.0)
+    largest = np.where(np.isfinite(value), value, 0.0).max(axis=1, initial=0.0)  # of each sample
     lit = largest[largest > 0]
-    full = float(np.quantile(lit, BRIGHT_QUANTILE)) if lit.size else 0.0
+    bright = float(np.quantile(lit, BRIGHT_QUANTILE)) if lit.size else 0.0
     states_scale = "telemetry.scale" in vehicle.facts
-    return unit if states_scale and full <= LARGEST[unit] else ""
+    return unit if states_scale and bright <= LARGEST[unit] else ""
 
 
 def panel_unit(vehicle: Vehicle, value: np.ndarray) -> WrongUnit | None:
@@ -114,22 +115,22 @@ def panel_unit(vehicle: Vehicle, value: np.ndarray) -> WrongUnit | None:
     if vehicle.gain_unit == unit and (wrong := _compare_with_gains(vehicle, value, largest)):
         return wrong
     other_unit = "one of them is in another unit"
-    full = float(np.quantile(largest[largest > 0], BRIGHT_QUANTILE))
+    bright = float(np.quantile(largest[largest > 0], BRIGHT_QUANTILE))
     noise = None if vehicle.input_noise is None else float(vehicle.input_noise.max())
     limits = {"noise": noise, "lit_threshold": form.lit_threshold}
-    above = [key for key, limit in limits.items() if limit is not None and full < limit]
+    above = [key for key, limit in limits.items() if limit is not None and bright < limit]
     if above and _sunlit(vehicle, value, largest):
         key = above[0]
         known_unit = reading_unit(vehicle, value)  # may be empty
         what = (
-            f"the brightest samples ({f'{full:.3g} {known_unit}'.strip()}) show the Sun but do not reach the stated {key} "
+            f"the brightest samples ({f'{bright:.3g} {known_unit}'.strip()}) show the Sun but do not reach the stated {key} "
             f"({f'{limits[key]:g} {known_unit}'.strip()})"
         )
         scales = "scale, voltage_scale" if form.has_voltages else "scale"
         return WrongUnit(f"{what}: {other_unit}", "telemetry", f"{scales} or {key}")
-    if noise is not None and full > FINEST * noise:
+    if noise is not None and bright > FINEST * noise:
         times = f"more than {FINEST:g} times the stated noise ({noise:g})"
-        what = f"readings of {full:.3g} are {times}, which no telemetry resolves"
+        what = f"readings of {bright:.3g} are {times}, which no telemetry resolves"
         return WrongUnit(f"{what}: {other_unit}", "telemetry", "scale or noise")
     return None
 
@@ -148,6 +149,7 @@ def _compare_with_gains(
         return None
     bright = _brightest(value, largest)
     ratio = float(np.median(brightness(vehicle, bright)))
+    # noise of panels in the dark is far below the gains too, and shows no wrong unit
     if 1 / BEYOND < ratio < BEYOND or (ratio < 1 and not _sunlit(vehicle, value, largest)):
         return None
     power = round(np.log10(ratio) / 3)  # exponent of the nearest power of 1000

@@ -212,13 +212,15 @@ def write_next_pair(c, p, k, V, U, slope):
 
 @compiled
 def add_gravity_gradient(c, p, k, slope):
-    """Add coefficient k of the gravity gradient, 3 n^2 d x (I d) with the nadir d (eq. 23), to the first three rows of `slope`.
+    """Add coefficient k of the gravity gradient's torque, 3 n^2 d x (I d) with the nadir d (paper, eq. 23), to dH/dt.
 
-    Few motions have it, so rule 2 on sums is not followed here.
+    dH/dt is in the first three rows of `slope`. The coefficient of a product is the sum over i + j = k of d_i x (I d_j). Rule 2 on
+    sums is not followed here, since few motions have this torque.
     """
     for i in range(k + 1):
         j = k - i
         for l in range(L):
+            # x, y, z: d_j; e, f, g: I d_j, with I as xx, xy, xz, yy, yz, zz; a, b, d: d_i
             x, y, z = c[j, NADIR + l], c[j, NADIR + L + l], c[j, NADIR + 2 * L + l]
             e = p[INERTIA + l] * x + p[INERTIA + L + l] * y + p[INERTIA + 2 * L + l] * z
             f = p[INERTIA + L + l] * x + p[INERTIA + 3 * L + l] * y + p[INERTIA + 4 * L + l] * z
@@ -250,7 +252,7 @@ def write_series(lanes, n_wheels, order, torques, attitude):
         if torques:
             write_rates_under_torques(c, p, k)
             write_H_and_torque(c, k, slope)
-            if k == 0:
+            if k == 0:  # the torque in body axes is constant
                 for l in range(3 * L):
                     slope[l] += p[TORQUE_B + l]
             for l in range(3 * L):

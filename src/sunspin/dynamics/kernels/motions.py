@@ -91,7 +91,8 @@ class LaneClock(NamedTuple):
 
     `row`: number of the motion, -1 for an idle lane; `due`: number of the next output; `left` and `until`: seconds to the end of
     the run and to that output; `planned`: length of the next step, s; `steps`: number of steps; `wheel`: the wheel whose event ends
-    the step, or -1; `stops`: whether an output, an event or the end of the motion is due in the step.
+    the step, or -1; `stops`: within a step, whether an output, an event or the end of the motion is due in it; after the step,
+    whether the motion has ended.
     """
 
     row: np.ndarray
@@ -234,8 +235,8 @@ def write_due(lanes, clock, n_wheels, l, task, states):
     last = len(ends) - 1
     while clock.due[l] <= last and not clock.until[l] > TIME_ROUNDING * duration:
         if states.shape[1]:
-            # seconds from the end of the step to the output, not positive; the last output is at the end of the run, where
-            # `until` differs from zero only by rounding
+            # `back`: seconds from the end of the step to the output, not positive. If the step ends the run, the last output is at
+            # its end: there `until` differs from zero only by rounding.
             inside = clock.due[l] < last or clock.wheel[l] >= 0
             back = clock.until[l] if inside else 0.0
             x = lanes.share[l] + back / max(dt, 1e-300)
@@ -247,7 +248,10 @@ def write_due(lanes, clock, n_wheels, l, task, states):
 # ---- the run -------------------------------------------------------------------------------------
 @compiled
 def end_step(lanes, clock, motions, task, answer, l):
-    """Let the wheel of lane l have the event at the end of its step, if any; return whether the motion has ended."""
+    """Apply the wheel's event that ends the step of lane l, if one does; return whether the motion has ended.
+
+    The event is written into `answer`, and the outcome if the motion has ended before the end of the run.
+    """
     n_wheels, row = len(motions.axes), clock.row[l]
     done = clock.due[l] >= len(task.ends)
     if clock.wheel[l] >= 0:
@@ -272,10 +276,13 @@ def end_step(lanes, clock, motions, task, answer, l):
 
 @compiled
 def take_next(lanes, clock, motions, task, answer, queue):
-    """Load the next motions of the queue into the lanes that are marked in `clock.stops`; return how many of these become idle.
+    """Load the next motion of the queue into each lane whose motion has ended; return how many lanes find none and become idle.
+
+    These lanes are marked in `clock.stops`; at the start of a run all are. A motion whose initial numbers are not finite is not
+    run: it gets the outcome NOT_FINITE and NaN states in `answer`, and the lane takes the one after it.
 
     queue : (n + 1) int
-        Numbers of the motions; the last entry counts how many have been taken.
+        Numbers of the motions in the order in which they are run; the last entry counts how many have been taken.
     """
     idle_lanes = 0
     for l in range(L):
@@ -339,7 +346,7 @@ def advance(queue, motions, task, answer, work):
     while busy:
         # series of the motion, from the state
         write_series(lanes, n_wheels, order, task.torques, task.attitude)
-        # length: the next step by the error allowed; this one ends at the end of the run at the latest
+        # length: the error allowed determines that of the next step; this step ends at the end of the run at the latest
         write_share(lanes, order)
         for l in range(L):
             dt = abs(lanes.p[DT + l])
@@ -348,7 +355,7 @@ def advance(queue, motions, task, answer, work):
                 x = min(x, longest_step(work, l, duration) / max(dt, 1e-300))
             clock.planned[l] = x * lanes.p[DT + l]
             share[l] = min(x, clock.left[l] / max(dt, 1e-300))
-        # events: the step ends at the first
+        # events: the step ends at the first event of a wheel
         if n_wheels and are_watched(lanes, n_wheels, order, margin):
             for l in range(L):
                 if margin[l] <= 0.0 and clock.row[l] >= 0:

@@ -504,7 +504,7 @@ def run_block(first, task, lanes, motions, nodes, answer):
     w, u, at, queue, frames = lanes.w, lanes.u, nodes.at, task.queue, task.frames
     n_wheels, last = len(motions.axes), len(queue) - 1
     for l in range(L):
-        row = queue[min(first + l, last)]
+        row = queue[min(first + l, last)]  # lanes beyond the queue compute the last motion too
         load(lanes, motions, frames, l, row)
         lanes.step[l], lanes.left[l] = task.duration / task.steps[row], task.duration
     begin_step(w, u, n_wheels)
@@ -547,11 +547,11 @@ def run_block(first, task, lanes, motions, nodes, answer):
             take_out(nodes, l, answer.hist[row])
             even = w[SLOWEST + l] > F(UNEVEN) * w[FASTEST + l] or w[FASTEST + l] == F(0)
             answer.again[row] = not even or not w[OVERLOAD + l] < F(NEAR_LIMIT)
-    nodes.hist[:] = F(0)  # of lanes beyond the queue, which hold copies of the last motion
+    nodes.hist[:] = F(0)  # that of a lane beyond the queue has not been taken out
 
 
 def new_lanes() -> SplitLanes:
-    """Return empty working arrays."""
+    """Return the working arrays of L lanes without motions."""
     return SplitLanes(
         np.zeros(NUMBERS * L, F),
         np.zeros(WHEELS * PER_WHEEL, F),
@@ -580,16 +580,26 @@ _run = _entry(digest(*(str(module.__file__) for module in (rows, histogram)), __
 def run(
     motions: Motions, steps: np.ndarray, duration_s: float, frames: np.ndarray, nodes: Any
 ) -> SplitAnswer:
-    """Return the histograms of motions with one body, without torques, forward in time, and which of them must be computed again.
+    """Return the histograms of r_z for n motions of one body, and which of them the Taylor kernel must compute again.
 
+    The motions go forward in time, without torques.
+
+    motions : Motions
+        Initial states (n), and one body for all.
     steps : (n)
         Number of steps of each motion (:func:`sunspin.dynamics.principal.split_steps`).
+    duration_s : float
+        Length of the run, s, above zero.
     frames : (2^n_wheel, 12)
         Principal axes for each set of free wheels (:func:`sunspin.dynamics.principal.frames`).
+    nodes : histogram.Nodes
+        Working arrays of the histograms of L motions, and the mask.
     """
-    n = len(motions.omega_B)
-    answer = SplitAnswer(np.zeros((n, len(nodes.hist) // L), F), np.zeros(n, dtype=np.bool_))
+    n, bins = len(motions.omega_B), len(nodes.hist) // L
+    answer = SplitAnswer(np.zeros((n, bins), F), np.zeros(n, dtype=np.bool_))
     if n:
-        task = SplitTask(np.argsort(steps, kind="stable"), steps, float(duration_s), frames)
+        # L motions run side by side until the last of them ends, so those with similar numbers of steps run together
+        queue = np.argsort(steps, kind="stable")
+        task = SplitTask(queue, steps, float(duration_s), frames)
         _run(task, new_lanes(), motions, nodes, answer)
     return answer

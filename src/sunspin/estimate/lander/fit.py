@@ -277,10 +277,12 @@ def normal_equations(
 
 
 def corrected(track_slopes: np.ndarray, step: np.ndarray, change: np.ndarray) -> np.ndarray:
-    """Return derivatives (K, c, n, w) of the track, corrected so that they explain its change (K, n, w) by a step (K, c).
+    """Return derivatives (K, c, n, w) of the track, corrected so that a step (K, c) explains its change (K, n, w) exactly.
 
-    Broyden's update is the smallest such correction: with the derivatives J (c rows), the step s and the change y it adds
-    W s (y - s J) / (s W s) to J. Here the metric W is diagonal, with the squared lengths of the rows of J.
+    This is Broyden's update. With the derivatives J, a row for each of c coordinates, the step s and the change y it adds
+    W s (y - s J) / (s W s) to J. W is diagonal and holds the squared length of each row. So of all corrections that explain the
+    change this one is the smallest relative to the rows: it has the least sum over rows of (|correction| / |row|)^2. A step of zero
+    corrects nothing.
     """
     flat = track_slopes.reshape(*track_slopes.shape[:2], -1)
     weighted = step * np.sum(flat**2, axis=2)  # W s
@@ -293,7 +295,10 @@ def corrected(track_slopes: np.ndarray, step: np.ndarray, change: np.ndarray) ->
 def in_tangents_at(
     new_sun: np.ndarray, sun: np.ndarray, track_slopes: np.ndarray, step: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return derivatives (K, c, n, w) and a step (K, c) by the tangents at `new_sun` (K, 3), from those by tangents at `sun`."""
+    """Return derivatives (K, c, n, w) and a step (K, c) after a change of the tangents to which two of the coordinates belong.
+
+    These two move the direction to the Sun: along the tangents at `sun` (K, 3) before, and along those at `new_sun` (K, 3) after.
+    """
     tangents = np.stack(tangent_basis(new_sun), axis=1)
     change = tangents @ np.swapaxes(np.stack(tangent_basis(sun), axis=1), 1, 2)  # (K, 2, 2)
     track_slopes, step = track_slopes.copy(), step.copy()
@@ -305,7 +310,7 @@ def in_tangents_at(
 def rotation_by(step: np.ndarray, reach_s: float) -> np.ndarray:
     """Return the angle (K), rad, by which steps (K, 5 or more) rotate the Sun within a window up to `reach_s` from the reference.
 
-    It is the larger one of the angles by the rate and by the direction.
+    It is the larger one of the angle by the change of the rate and the angle by the change of the direction to the Sun.
     """
     rate, sun = (np.linalg.norm(step[:, part], axis=1) for part in (RATE, SUN))
     return np.maximum(rate * reach_s, sun)

@@ -158,7 +158,7 @@ def dark_stretch(t_s: np.ndarray, lit: np.ndarray) -> str:
 
     `t_s` (n) from the epoch; `lit` (n): whether any panel was lit.
     """
-    # with a lit sample added at either end, changes alternate between the begin of a dark stretch and the sample after it
+    # A lit sample is added at either end. So changes are, in turn, the first sample of a dark stretch and the one after its last.
     changes = np.flatnonzero(np.diff(np.concatenate([[True], lit, [True]]).astype(int)))
     begin, end = changes[::2], changes[1::2]
     if not len(begin) or (count := int((end - begin).max())) < DARK_RUN:
@@ -168,15 +168,17 @@ def dark_stretch(t_s: np.ndarray, lit: np.ndarray) -> str:
 
 
 def accused_panels(names: tuple[str, ...], outliers: np.ndarray, lit: np.ndarray) -> list[str]:
-    """Return a sentence on each panel with many outliers.
+    """Return a sentence on each panel with many outliers: at least `ACCUSED_LEAST`, and more than `ACCUSED_SHARE` of its readings.
 
-    `names` (p) of the panels; `outliers` (n, p): probability of each reading to be an outlier; `lit` (n, p): whether it is above
-    the lit threshold.
+    `names` (p) of the panels; `outliers` (n, p): probability of each reading to be an outlier, at samples in sunlight; `lit`
+    (n, p): whether the reading is above the lit threshold.
     """
+    # The expected number of outliers is compared with the number of readings that are lit or should be: where a dark reading is an
+    # outlier, the panel should have been lit.
+    expected = outliers.sum(axis=0)
+    lit_or_outlier = (lit | (outliers > 0.5)).sum(axis=0)
     sentences = []
-    # dark readings that are outliers count as lit ones: the panel should have been lit
-    readings = np.maximum(np.maximum(lit, outliers > 0.5).sum(axis=0), 1)
-    for name, count, total in zip(names, outliers.sum(axis=0), readings, strict=True):
+    for name, count, total in zip(names, expected, lit_or_outlier, strict=True):
         if count >= ACCUSED_LEAST and count > ACCUSED_SHARE * total:
             sentences.append(
                 f"panel {name}: about {count:.0f} outliers (shadow, failed panel or wrong column)"

@@ -269,17 +269,29 @@ class Calibration:
 def calibrate_magnetometer(
     local: Any, assessment: Assessment, known: Calibration | None = None
 ) -> FieldCalibration | None:
-    """Return the calibration of a file's magnetometer along an orbit; None without an orbit or without readings.
+    """Return the calibration of a file's magnetometer along an orbit; None without an orbit or without readings of the field.
 
-    `local`: the environment, an `Orbit` or axes along the Sun in one. `known`: the fit of all sensors that the check of this orbit
-    has made, if any. With few readings the result is close to the priors, which are wide; the fit of the motion then estimates the
-    calibration further. First strength and angle are fitted, which needs no start, then all readings with the attitudes projected
-    out.
+    Each step begins at the result of the one before:
+
+    1. Without Sun sensors: if the file has exchanged axes of the magnetometer (:func:`.axes.better_axes`), its readings are put in
+       the right ones, which is undone at the end.
+    2. The strength of the field and its angle to the Sun are fitted. Neither depends on the attitude, and no first guess is needed.
+    3. All readings are fitted, with the attitude of each sample projected out: together with the errors of the Sun sensors, or, if
+       there are none, too few samples, or that fit is poor, with the directions to the Sun as they are.
+
+    With few readings the result is close to the priors, which are wide; the fit of the motion estimates the calibration further.
+
+    Parameters
+    ----------
+    local : Orbit, SunAlongZ, or another environment, which gives None
+    assessment : vehicle and telemetry of the whole file
+    known : fit of all sensors that the check of this orbit has made, if any; it replaces the three steps
     """
     orbit = local.orbit if isinstance(local, SunAlongZ) else local
     if not isinstance(orbit, Orbit) or "field_B" not in assessment.telemetry:
         return None
     if known is not None:
+        # the orbit has been moved by the offset of this fit since then
         return known.magnetometer(known.shift_s, orbit.offset_sigma_s)
     readings = orbit_readings(assessment, MOST_SAMPLES)
     use = readings.has_field
@@ -287,7 +299,7 @@ def calibrate_magnetometer(
         return None
     vehicle = assessment.vehicle
     predicted = Sky.along(orbit, readings.t_s, np.zeros(1)).invariants()
-    # if the file has exchanged axes, calibrate readings with the right ones, and undo that at the end
+    # `axes` (3, 3): from the axes of the file to those of the fit
     change = None
     if "sun_sensor_angle" not in assessment.telemetry:
         change = better_axes(readings, predicted, vehicle)
@@ -301,8 +313,10 @@ def calibrate_magnetometer(
     fitted = calibrate_with_sun_sensors(orbit, vehicle, readings, start)
     if fitted is None:
         prior = priors(vehicle, readings, orbit)
+        # the sigmas that the file states for its own axes, in the order of the axes of the fit
         prior[ZERO] = np.abs(axes) @ prior[ZERO]
         fitted = fit_sensors(orbit, vehicle, readings.with_stated_sun(), start, prior)
+    # at the orbit's own offset, and for readings in the axes of the file
     return fitted.magnetometer(0.0, orbit.offset_sigma_s).with_axes(axes)
 
 
@@ -313,7 +327,8 @@ def calibrate_with_sun_sensors(
 
     None without Sun sensors, with too few samples that show field and Sun, or if the fit is clearly worse than its start.
     """
-    # each sample with a field puts a condition on its strength, and with a Sun another on the angle between both
+    # Each sample with a field puts a condition on the strength of the field, and one with a direction to the Sun too puts another
+    # on the angle between both.
     conditions = readings.has_field.sum() + (readings.has_field & readings.has_sun).sum()
     if not np.isfinite(readings.angle).any() or conditions < FEWEST:
         return None
@@ -328,7 +343,7 @@ def priors(vehicle: Vehicle, readings: Readings, orbit: Orbit) -> np.ndarray:
     """
     magnetometer, usual = vehicle.sensors.magnetometer, 1.0
     if magnetometer is not None and readings.has_field.any():
-        # the telemetry holds matrix (column - zero): the usual size of the columns themselves
+        # the telemetry holds matrix (column - zero); `usual` is the median size of the columns themselves
         column = readings.field @ np.linalg.inv(magnetometer.matrix).T + magnetometer.zero
         usual = float(np.nanmedian(np.linalg.norm(column, axis=1)))
     zero = np.full(3, ZERO_SIGMA * usual)

@@ -205,13 +205,21 @@ class ScanRows:
 
 
 def track_rows(vehicle: Vehicle, start: Start, track: xr.Dataset, **options: Any) -> ScanRows:
-    """Return the rows that compare motions by E with a track, a Dataset with `sun_B (time, axis)` at `time`, s after the start.
+    """Return the rows of a scan that compare each motion with a measured track of the Sun, by the direction error E.
 
-    Samples without a direction are left out. `options`: further fields of `ScanRows`.
+    track : Dataset
+        `sun_B (time, axis)`, unit vectors in body axes, at `time`, s after the start. Samples without a direction are left out.
+    options
+        Further fields of `ScanRows`.
+
+    Raises
+    ------
+    InputError
+        No sample of the track has a direction.
     """
     sun_B = np.asarray(track["sun_B"], dtype=np.float64)
     known = np.all(np.isfinite(sun_B), axis=1)
     if not known.any():
         raise InputError("the track holds no direction to compare with")
     times = np.asarray(track["time"], dtype=np.float64)[known]
-    return ScanRows(vehicle, start, times, "E", sun_B[known], **options)
+    return ScanRows(vehicle, start, t_s=times, measure="E", target=sun_B[known], **options)

@@ -191,15 +191,17 @@ def with_pair_differences(
     sigma: np.ndarray,
     sigma_light_noise: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return readings and sigmas (n, p) in which the difference of two opposite panels replaces the reading of the brighter one.
+    """Return readings and sigmas (n, p) of opposite panels as they would be without the Earth's light, for a search.
 
-    The darker one gets zero, as a panel that faces away from the Sun reads without Earth's light.
+    Each reading counts as a part of its panel's full Sun. Of two opposite panels that were both read, the brighter one gets the
+    difference of the two, and the other gets zero, since without the Earth's light a panel that faces away from the Sun is dark.
+    Both get the sigma of the difference. All other readings stay as they are, with the Earth's light as noise.
 
     Parameters
     ----------
-    facing_B, full : (p, 3) and (p), normals of the panels, and their readings in full Sun
-    power, sigma : (n, p), readings, and their sigmas without the Earth's light
-    sigma_light_noise : (n, p), sigmas with that light as noise, which remain where the opposite panel was not read
+    facing_B, full : (p, 3) and (p), normals of the panels in body axes, and their readings in full Sun
+    power, sigma : (n, p), readings, and their sigmas without the Earth's light, infinite where not read
+    sigma_light_noise : (n, p), sigmas with that light as noise
     """
     share, error = power / full, sigma / full
     power, sigma = power.copy(), sigma_light_noise.copy()

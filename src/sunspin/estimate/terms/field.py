@@ -383,7 +383,10 @@ class KnownField(Term):
         return replace(self, sigma_T=sigma, own_B=self.own_B[:, :0], along_N=self.along_N[:, :0])
 
     def as_sun_directions(self) -> SunDirections:
-        """Return the directions of the field in the body in place of the Sun's, for a search without the Sun."""
+        """Return the directions of the field in body axes in place of those to the Sun, for a search without the Sun.
+
+        Errors of the sensor that all samples have in common count as noise, up to `LARGEST_OWN_ERROR` of the field.
+        """
         size = np.linalg.norm(self.field_N, axis=1)
         own = np.sqrt((self.own_B**2).sum(axis=(1, 2)) / 3)
         sigma = np.hypot(self.sigma_T, np.minimum(own, LARGEST_OWN_ERROR * size)) / size
@@ -392,17 +395,19 @@ class KnownField(Term):
         return SunDirections.of(unit, variance[:, None, None] * np.eye(3))
 
     def field_axes(self) -> np.ndarray:
-        """Return matrices (n, 3, 3) that take components in N to those in axes whose z follows the field.
+        """Return rotation matrices (n, 3, 3) from N to axes whose z is along the field at each sample.
 
-        From one sample to the next the axes rotate by the smallest angle, without a rotation about the field.
+        From one sample to the next these axes follow the field by the smallest rotation, which has no part about the field. A
+        search without the Sun uses them in place of N. The first x axis is arbitrary.
         """
         unit = self.field_N / np.linalg.norm(self.field_N, axis=1, keepdims=True)
-        frames = [facing(unit[0]).T]
+        axes_from_N = [facing(unit[0]).T]  # takes the field at the first sample to z
         for before, after in zip(unit, unit[1:], strict=False):
-            # the smallest rotation (3, 3) that takes the new direction to the old one, applied to the unit vectors
-            back = rotate_by_smallest(np.tile(after, (3, 1)), np.tile(before, (3, 1)), np.eye(3)).T
-            frames.append(frames[-1] @ back)
-        return np.array(frames)
+            # Back to the sample before, whose matrix takes `before` to z: R takes `after` to `before`. The rows are unit vectors
+            # after R, which are the columns of R.
+            rows = rotate_by_smallest(np.tile(after, (3, 1)), np.tile(before, (3, 1)), np.eye(3))
+            axes_from_N.append(axes_from_N[-1] @ rows.T)
+        return np.array(axes_from_N)
 
     def axes_rate_N(self) -> np.ndarray:
         """Return the angular velocities (n, 3) of the axes of :meth:`field_axes`, rad/s in N: unit x d(unit)/dt."""

@@ -365,9 +365,8 @@ def _add_curve(data: xr.Dataset, samples: AttitudeSamples) -> AttitudeSamples:
         curve = _read_samples(data, "curve_")
         # an instant within rounding of a sample is that sample: a cubic between the two would have no length
         middles = (samples.t_s[1:] + samples.t_s[:-1]) / 2
-        nearest_sample = samples.t_s[
-            np.searchsorted(middles, curve.t_s)
-        ]  # its time, for each instant
+        # time of the sample nearest to each instant
+        nearest_sample = samples.t_s[np.searchsorted(middles, curve.t_s)]
         usual_interval = np.median(np.diff(curve.t_s)) if len(curve.t_s) > 1 else 0.0
         is_new = np.abs(curve.t_s - nearest_sample) > TOGETHER * usual_interval
         joined = [
@@ -389,9 +388,8 @@ def _add_curve(data: xr.Dataset, samples: AttitudeSamples) -> AttitudeSamples:
         # fraction of the motion for which a simulation would write instants close enough
         share = MOST_INSTANTS * CURVE_RAD / rotation.sum()
         if share < 1:
-            duration = (
-                share / 2 * np.ptp(motion.t_s)
-            )  # half, as the rotation may be faster in a part
+            # half, as the rotation may be faster in a part
+            duration = share / 2 * np.ptp(motion.t_s)
             do = f"simulate it in parts, with a --duration of {_round_down(duration)}"
     raise InputError(what, do=do)
 
@@ -455,7 +453,8 @@ def _fill_between(motion: AttitudeSamples) -> AttitudeSamples:
         what = f"this motion would take more than {MAX_ATTITUDES} attitudes"
         do = f"give --step {_round_down(COARSEST_RAD / _largest_speed(motion))}"
         raise InputError(what, got=int(parts.sum()) + 1, do=do)
-    share = np.concatenate([np.arange(n) / n for n in parts])  # of the interval, at each instant
+    # the part of its interval that has passed at each instant
+    share = np.concatenate([np.arange(n) / n for n in parts])
     t_s = np.repeat(motion.t_s[:-1], parts) + share * np.repeat(np.diff(motion.t_s), parts)
     pass_of = np.repeat(motion.pass_of[:-1], parts)
     return motion.interpolate(
@@ -464,20 +463,22 @@ def _fill_between(motion: AttitudeSamples) -> AttitudeSamples:
 
 
 def _resample(motion: AttitudeSamples, step_s: float, dense: bool) -> AttitudeSamples:
-    """Return the motion every `step_s` seconds of each pass, from its first instant.
+    """Return attitudes and rates every `step_s` seconds (above zero) of each pass, from its first instant on.
+
+    `motion`: instants near enough to each other for cubics to interpolate. `dense`: readers of the file interpolate.
 
     Raises
     ------
     InputError
-        There would be more than `MAX_ATTITUDES`, or for `dense` files the body rotates too far in a step to interpolate.
+        There would be more than `MAX_ATTITUDES`, or, if `dense`, the body rotates by more than `COARSEST_RAD` in a step.
     """
     if not np.isfinite(step_s):
         raise InputError("--step must be a time in s", got=step_s, do="give a number of seconds")
     passes = np.unique(motion.pass_of)
     ends = np.array([motion.t_s[motion.pass_of == number][[0, -1]] for number in passes])
     starts, durations = ends[:, 0], ends[:, 1] - ends[:, 0]
-    # 1e-9 of a step: the last instant of a pass counts although it is a rounding error late. A tiny step gives a number that no
-    # integer holds, so it is limited to one that is refused below.
+    # Instants of each pass. Without 1e-9 of a step, rounding would lose the last instant if the duration is a multiple of the step.
+    # A tiny step would overflow the integer: the number is limited to one that is refused below.
     counts = (np.minimum(durations / step_s + 1e-9, 10.0 * MAX_ATTITUDES)).astype(int) + 1
     if counts.sum() > MAX_ATTITUDES:
         what = f"this would be more than {MAX_ATTITUDES} attitudes"
@@ -494,7 +495,7 @@ def _resample(motion: AttitudeSamples, step_s: float, dense: bool) -> AttitudeSa
 
 def write_cf(target: Path, data: xr.Dataset, attitude: AttitudeHistory) -> Path:
     """Write a result with its attitude as exported to NetCDF with CF attributes, and return the path."""
-    # attitudes at other times than the samples: the other variables over time hold at samples only
+    # Other variables over time hold at the samples only: they are left out if the attitudes are at other times.
     if not np.array_equal(data["time"].values, attitude.t_s):
         data = data.drop_dims("time").assign(pass_of=("time", attitude.pass_of))
     time = {"units": f"seconds since {str(attitude.epoch).replace('T', ' ')} UTC"}

@@ -24,7 +24,10 @@ OTHER_SENSORS = {
 
 @styled
 def rates_figure(result: xr.Dataset, telemetry: xr.Dataset | None = None) -> Any:
-    """Draw the rate components (deg/s) of the likeliest solution of each pass with one sigma, and the gyro if there is one."""
+    """Draw the rate components (deg/s) of the likeliest solution of each of the largest passes, with one sigma, by time.
+
+    If the `telemetry` has a gyro, its readings are drawn too.
+    """
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 
@@ -100,8 +103,12 @@ def draw_component(
 
 @styled
 def attitude_figure(result: xr.Dataset) -> Any:
-    """Draw the attitude quaternion of the likeliest solution of each pass, with the rms error (deg) in the title."""
-    passes = largest_passes(result)
+    """Draw the attitude quaternion (scalar last) of the likeliest solution of each of the largest passes, by time.
+
+    Above each pass is one sigma of the attitude (deg): the root of the mean square over its samples. The result must have
+    `turn_sigma_rad`, which needs an orbit.
+    """
+    passes = largest_passes(result)  # at most `SHOWN`
     title = f"Attitude of {escape_name(result.attrs['vehicle'])}: rotation from {result.attrs['frame_N']} to body axes"
     layout = {"sharey": True, "squeeze": False}
     figure, (grid,) = axes_grid(max(7.5, 2.1 * len(passes)), 3.2, 1, len(passes), title, **layout)

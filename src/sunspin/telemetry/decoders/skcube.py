@@ -110,8 +110,8 @@ class Beacons(NamedTuple):
     unread: dict[str, int]
 
     @property
-    def kinds(self) -> dict[str, int]:
-        """Number of frames of each kind."""
+    def counts(self) -> dict[str, int]:
+        """Number of beacons of each kind."""
         return {kind: len(rows) for kind, rows in self.rows.items()}
 
 
