@@ -251,11 +251,12 @@ class Earlier(NamedTuple):
     acceleration: np.ndarray
 
     def derivatives_at_sample(self, residual: Residual) -> tuple[Residual, np.ndarray]:
-        """Return residuals at the earlier states with derivatives by the states at the samples, and by the latency (K, n, r).
+        """Return `residual`, of the earlier states, with derivatives by the states at the samples; and that by the latency.
 
-        A latency T turns the body by -omega T and changes its rate by -(acceleration) T. So by the latency the derivative is
-        -(by_turn omega + by_rate acceleration). If the rate at the sample changes, the earlier rate changes as much, and the
-        earlier attitude by -T times it.
+        The second result (K, n, r) is in 1/s. The chain rule takes three derivatives of the earlier state, to first order in the
+        latency T. A turn at the sample turns the earlier body too, by `turned` times it in the axes of then. A change of the rate
+        at the sample changes the earlier rate as much, and turns the earlier body by -T times it. A latency that is longer by dT
+        turns the earlier body by -omega dT, and changes its rate by -acceleration dT.
         """
         by_latency = np.zeros(residual.value.shape)
         by_turn, by_rate, previous = residual.by_turn, residual.by_rate, residual.by_previous
@@ -263,7 +264,7 @@ class Earlier(NamedTuple):
             by_latency -= np.einsum("knri,kni->knr", by_rate, self.acceleration)
         if by_turn is not None:
             by_latency -= np.einsum("knri,kni->knr", by_turn, self.states.omega)
-            # a term that compares neighbours: a change of the rate moves both nearly alike, and hardly their difference
+            # Not for a term that compares neighbours: their rates change alike and turn both alike, and their difference stays.
             if previous is None:
                 by_moved = -self.late_s[:, None, None, None] * by_turn
                 by_rate = by_moved if by_rate is None else by_rate + by_moved
@@ -279,8 +280,8 @@ class Earlier(NamedTuple):
 def earlier_states(model: Model, obs: Observations, motions: Track) -> Earlier | None:
     """Return motions propagated back to the instants at which the sensors other than the Sun's were read.
 
-    The momentum of the wheels stays that of the sample. None if these sensors are read together with the Sun. `obs`: the samples at
-    which the motions are given.
+    The momentum of the wheels is taken as that at the sample. Return None if these sensors are read together with the Sun. `obs`:
+    the samples at which the motions are given.
     """
     clocks = [
         (term, u_slice.start)

@@ -31,13 +31,15 @@ SAME_INSTANT = 1e-4
 def propagate_to_all(
     model: Model, motions: Track, t_s: np.ndarray, momentum: np.ndarray, noise: np.ndarray
 ) -> tuple[Track, np.ndarray]:
-    """Return K motions at all N samples of a pass, and the derivative (K, n, 3, 6) of their mean rate over these.
+    """Propagate K motions from the n kept samples, to which they were fitted, to all N samples of a pass.
 
-    The motions are given at the n kept samples, to which they were fitted, with covariance, and stay as they are there. The
-    derivative is by turn and rate at each of the kept samples.
+    Return the motions at all samples, and the derivative (K, n, 3, 6) of their mean rate over these by turn and rate at each kept
+    sample. At kept samples states and covariances stay as fitted. At any other sample the state is a blend of two: the motion
+    propagated forward from the kept sample before it, and that propagated backward from the kept sample after it.
 
     `model`: of the kept samples. `t_s` (N), s: times of all samples, the first and the last being kept; `momentum` (N, 3): of the
-    wheels, in mean moments times rad/s. `noise` (n - 1), rad/s^1.5: strength of the unknown torques between kept samples.
+    wheels in body axes, over the mean moment of inertia, rad/s. `noise` (n - 1), rad/s^1.5: strength of the unknown torques between
+    kept samples, whose covariance is added (:func:`_bridge`).
     """
     kept = model.obs
     # indices among all samples: of the kept ones, and of the others
@@ -47,7 +49,7 @@ def propagate_to_all(
     before = np.searchsorted(of_kept, others) - 1
     span = kept.t_s[before + 1] - kept.t_s[before]
     share = (t_s[others] - kept.t_s[before]) / span
-    # weight of the backward motion: a cubic that is level at both ends, so that the attitude changes there at the rate of the body
+    # weight of the backward motion: a cubic of zero slope at both kept samples, so that the blend adds nothing to the rate there
     blend = share**2 * (3 - 2 * share)
 
     k, n, n_all = len(motions), len(kept), len(t_s)
@@ -55,14 +57,15 @@ def propagate_to_all(
     covariance = np.empty((k, n_all, 6, 6))
     attitude[:, of_kept], omega[:, of_kept] = motions.attitude, motions.omega
     covariance[:, of_kept] = motions.covariance
-    # derivative of the sum of the rates: a kept sample counts its own, and what the others take from it
+    # derivative of the sum of all rates by the states at the kept samples; first that of the rates at these samples themselves
     sum_by_kept = np.zeros((k, n, 3, 6))
     sum_by_kept[..., RATE] = np.eye(3)
 
     inertia = model.body.inertia_at(motions.u[:, model.inertia_slice])
     propagated: list[Step] = []
     covariance_there = _bridge(share, span, noise[before])
-    # forward from the sample before, backward from the one after; covariances are blended as if both were the same motion
+    # Forward from the kept sample before, backward from the one after. The weighted mean of their covariances is an upper limit for
+    # that of the blend, however the errors of the two are correlated.
     for start, weight in ((before, 1 - blend), (before + 1, blend)):
         dt = t_s[others] - kept.t_s[start]
         momenta = kept.momentum[start], momentum[others]
@@ -73,7 +76,7 @@ def propagate_to_all(
         carried = by_start @ motions.covariance[:, start] @ np.swapaxes(by_start, -1, -2)
         covariance_there = covariance_there + weight[:, None, None] * carried
         for i in range(n):
-            # weighted sum of the derivatives of the rates at the m samples that were reached from kept sample i
+            # the m samples that are reached from kept sample i add the weighted derivatives of their rates
             from_i = start == i
             of_rate = by_start[:, from_i, RATE]
             sum_by_kept[:, i] += np.einsum("m,kmij->kij", weight[from_i], of_rate)
@@ -88,21 +91,23 @@ def propagate_to_all(
 
 
 def _bridge(share: np.ndarray, span: np.ndarray, noise: np.ndarray) -> np.ndarray:
-    """Return the covariance (m, 6, 6) of turn and rate by torques of the strength `noise` (m) within intervals `span` (m), s.
+    """Return the covariance (m, 6, 6) of turn and rate that unknown torques cause at m instants between two known states.
 
-    The torques are white angular acceleration q, rad/s^1.5; turn and rate are known at both ends of the interval T. At the `share`
-    (m) of it their variances are q^2 T^3 p^3 / 3 and q^2 T p (1 - 3 p), with p = share (1 - share). Their correlation is left out.
+    The torques are white angular acceleration of the strength q: `noise` (m), rad/s^1.5. Each instant lies in an interval of the
+    length T, `span` (m), s, at the part s of it, `share` (m). The variances of each component, with p = s (1 - s):
+    q^2 T^3 p^3 / 3 of the turn and q^2 T p (1 - 3 p) of the rate. The correlation of turn and rate is left out.
     """
     p = (share * (1 - share))[:, None, None]
-    square = (noise**2 * span)[:, None, None] * np.eye(3)
+    # q^2 T: variance of the rate at the end of the interval, if it were not known there
+    free_variance = (noise**2 * span)[:, None, None] * np.eye(3)
     covariance = np.zeros((len(share), 6, 6))
-    covariance[:, TURN, TURN] = square * span[:, None, None] ** 2 * p**3 / 3
-    covariance[:, RATE, RATE] = square * p * (1 - 3 * p)
+    covariance[:, TURN, TURN] = free_variance * span[:, None, None] ** 2 * p**3 / 3
+    covariance[:, RATE, RATE] = free_variance * p * (1 - 3 * p)
     return covariance
 
 
 def curve(model: Model, motion: Track, noise: float) -> tuple[np.ndarray, Track]:
-    """Return even instants (m), s, and a motion (K = 1) there: so close that a figure may connect them by straight lines.
+    """Return evenly spaced instants (m), s, which a figure may connect by straight lines, and a motion (K = 1) at them.
 
     `model`: of all samples of the pass, at which the motion is given; `noise`: strength of unknown torques, rad/s^1.5.
     """
@@ -111,13 +116,13 @@ def curve(model: Model, motion: Track, noise: float) -> tuple[np.ndarray, Track]
     angle = angle_turned(
         model.body.inertia[None], motion.omega[:, :-1], spans, (momentum[:-1], momentum[1:])
     )
-    # by how much it would turn over the pass if it always were as fast as in its fastest interval
+    # angle (rad) by which the body would turn in the whole pass, if it always were as fast as in its fastest interval
     turned = float((t_s[-1] - t_s[0]) * np.max(angle / spans))
     most = max(MOST_INSTANTS, min(np.ceil(turned / COARSE_RAD), MOST_COARSE))
     count = int(np.clip(np.ceil(turned / CURVE_RAD), LEAST_INSTANTS, most)) + 1
     instants = np.linspace(t_s[0], t_s[-1], count)
     near_s = (instants[1] - instants[0]) * SAME_INSTANT
-    # the motion is computed at all samples and instants in one order; an instant that is near a sample is replaced by it
+    # The motion is computed at all samples and instants, in order of time. A sample takes the place of an instant that is near it.
     next_instant = np.minimum(np.searchsorted(instants, t_s - near_s), count - 1)
     is_sample = np.abs(instants[next_instant] - t_s) <= near_s
     times = np.union1d(np.delete(instants, next_instant[is_sample]), t_s)
@@ -136,7 +141,7 @@ def residuals_by_sensor(
 
     `obs`, `track`: readings and motions at all samples of a pass. `model`: of the kept samples, to which the motions were fitted;
     `kept` (n): indices of these. At all others the covariance of the motion is added to that of a reading, since the motion was not
-    fitted to it. Errors that the vehicle file does not state (`Unknown.doubted`) are zero: to fit, a sensor must agree with it.
+    fitted to it. Errors that the vehicle file does not state (`Unknown.doubted`) are set to zero: a sensor must fit without them.
     """
     was_fitted = np.isin(np.arange(len(obs)), kept)
     spread = np.where(was_fitted[:, None, None], 0.0, track.covariance)

@@ -270,9 +270,9 @@ def columns_seen(vehicle: Vehicle, telemetry: xr.Dataset) -> bool:
 
 
 def nominal_momenta(vehicle: Vehicle) -> np.ndarray:
-    """Return the momentum (n_wheel, 1, 3) of each wheel at its nominal speed, in mean moments of inertia times rad/s.
+    """Return the momentum (n_wheel, 1, 3) of each wheel at its nominal speed, the same at all times, in body axes.
 
-    There are none, (0, 1, 3), without an inertia.
+    It is divided by the mean moment of inertia of the body: rad/s. Without an inertia the result is empty, (0, 1, 3).
     """
     if vehicle.inertia_kg_m2 is None:
         return np.zeros((0, 1, 3))

@@ -50,40 +50,43 @@ def leading_field(nominal: Model) -> KnownField | None:
 
 
 def to_nominal_axes(nominal: Model, searched: Model, motions: Track, s: SearchSettings) -> Track:
-    """Return motions of a search in the axes N of the nominal model, with the angle that the search left open.
+    """Return the motions of a search in the axes N of the nominal model, fitted with the angle that the search left open.
 
-    `searched`: the model that was searched, one of :func:`models_to_search`. After a search by the field the axes are turned from
-    those that follow the field to N. Each motion is fitted from several angles about the field, with the field as it is known in N:
-    as that turns in space, few angles fit. After a search by the Sun, fits begin from several angles about the Sun if the torque of
-    the gravity gradient acts, which depends on that angle. Else a sensor determines it (:func:`prepare_fit`), if any.
+    `searched`: the model that was searched, one of :func:`models_to_search`. After a search by the field, motions are converted
+    from axes that follow the field to N, and each is fitted from `FIELD_TURNS` angles about the field. The field is known in N and
+    changes its direction there, so that only a few of these fit; the others, and copies, are left out. After a search by the Sun,
+    motions are in N already. If the torque of the gravity gradient acts, which depends on the angle about the Sun, each is fitted
+    from `SUN_TURNS` angles, and all fits are returned. Else the motions are returned unchanged: if any sensor measures that angle,
+    it gives it later (:func:`prepare_fit`).
     """
     field = leading_field(nominal)
     if field is not None:
-        # `from_N` (n, 3, 3): from N to axes that follow the field
-        angles, from_N, model = (
+        # number of angles; rotation (n, 3, 3) from N to axes that follow the field; model of the fits
+        angle_count, from_N, model = (
             FIELD_TURNS,
             field.field_axes(),
             nominal.for_search(searched.noise)[0],
         )
+        # in the fits the field is known in N, without unknowns; the other terms are those of a search
         pairs = zip(nominal.obs.terms, model.obs.terms, strict=True)
         terms = (
             field.without_errors() if term is field else in_search for term, in_search in pairs
         )
         model = replace(model, obs=replace(model.obs, terms=tuple(terms)))
     elif any(isinstance(term, GravityTorque) for term in nominal.obs.terms):
-        angles, from_N, model = SUN_TURNS, np.eye(3), searched
+        angle_count, from_N, model = SUN_TURNS, np.eye(3), searched
     else:
         return motions
     tracks = []
-    for angle in 2 * np.pi / angles * np.arange(angles):
+    for angle in 2 * np.pi / angle_count * np.arange(angle_count):
         about_z = rotate_attitude(np.eye(3), -angle * SUN_N)  # z: the field or the Sun
         attitude, omega = motions.attitude @ about_z @ from_N, motions.omega
         if field is not None:
-            # the rates of the search are relative to axes that turn with the field
+            # from rates relative to the axes that follow the field to rates in space
             omega = omega + np.einsum("knij,nj->kni", attitude, field.axes_rate_N())
         tracks.append(Track.free(attitude, omega))
     fitted = fit(model, Track.joined(tracks), FIT_STEPS).motions
-    if field is None:  # all angles fit the Sun alike: the fit with all unknowns decides
+    if field is None:  # the Sun fits every angle alike: the fit with all unknowns decides later
         return fitted
     return fitted.take(distinct(fitted, model.obs.t_s, s))
 

@@ -393,9 +393,11 @@ def _coast_from_s(telemetry: xr.Dataset) -> float:
 
 
 def wheel_models(vehicle: Vehicle, telemetry: xr.Dataset) -> dict[str, np.ndarray]:
-    """Return the total momentum of the wheels at each sample (n, 3), in mean moments times rad/s, by what the wheels may do.
+    """Return what the wheels may do: name -> total momentum (n, 3) of the wheels at each sample, in body axes.
 
-    The keys are those of :func:`wheel_speeds`, or "none" without wheels or inertia.
+    It is divided by the mean moment of inertia of the body: rad/s. The names and their order are those of :func:`wheel_speeds`:
+    measured alone, or held first, then coasting with each friction. Without wheels or without an inertia the only name is "none",
+    with zero momentum.
     """
     t_s = np.asarray(telemetry["time"], dtype=np.float64)
     if vehicle.inertia_kg_m2 is None or not vehicle.wheels:
@@ -407,7 +409,7 @@ def wheel_models(vehicle: Vehicle, telemetry: xr.Dataset) -> dict[str, np.ndarra
 
 
 def wheel_speeds(vehicle: Vehicle, telemetry: xr.Dataset, t_s: np.ndarray) -> dict[str, np.ndarray]:
-    """Return the speeds (n, n_wheel) of the wheels in rad/s at times (n), by what the wheels may do, in words.
+    """Return what the wheels may do, in words -> their speeds (n, n_wheel), rad/s, at times `t_s` (n).
 
     Measured speeds leave one possibility. Otherwise the wheels are held, or coast from the first sample with the friction of the
     vehicle file or one of its alternatives; the fits decide between these.

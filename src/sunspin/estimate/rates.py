@@ -355,8 +355,9 @@ def largest_rate(
 ) -> tuple[float, float]:
     """Return the largest rate (rad/s) of the search, and by which factor a body may exceed it (`AlternativeSettings.beyond`).
 
-    The rate is the `given` one, else the vehicle's: then the factor is one. Else it is :data:`LARGEST_TURNS` revolutions in the
-    shorter intervals between kept samples, but not above :data:`LARGEST_RATE`. `t_s` (n): times of all samples of the file.
+    The rate is `given`, or that of the vehicle; the factor is one then. If neither states it, it is :data:`LARGEST_TURNS`
+    revolutions in the shorter intervals between kept samples, but at most :data:`LARGEST_RATE`. `t_s` (n): times of all samples of
+    the file.
     """
     given = vehicle.sensors.disturbance.max_rate_rad_s if given is None else given
     if given is not None:
@@ -404,12 +405,15 @@ def require_directions(nominal: Model, passes: Sequence[Pass]) -> None:
 
 
 def common_noise(fits: Sequence[PassFits]) -> float:
-    """Return the most probable strength of unknown torques (rad/s^1.5), assuming that it is the same in all passes."""
-    # (pass, rung)
+    """Return the strength of unknown torques (rad/s^1.5) with the largest evidence of all passes together.
+
+    It is assumed to be the same in all passes, and each strength of the ladder (rung) to be equally probable beforehand.
+    """
+    # (pass, rung), minus infinity where a pass has no fit under a rung
     log_evidence = np.array([pass_fits.log_evidence_of_rungs() for pass_fits in fits])
     total = log_evidence.sum(axis=0)
     if not np.isfinite(total).any():
-        # every strength is without a fit in some pass: the one with the fewest such passes
+        # No rung has a fit in every pass. A missing fit counts as -1e6, far below others: the rung that misses fewest is best.
         total = np.maximum(log_evidence, -1e6).sum(axis=0)
     return fits[0].rungs[int(np.argmax(total))]
 

@@ -117,15 +117,18 @@ def solutions(
 def _weighted_motions(fits: PassFits, s: SolutionSettings) -> list[WeightedMotion]:
     """Return the motions of all fits with their probabilities, the most probable first, without those that hardly count.
 
-    The probability is computed under two priors of the rate, and the larger one counts. Under the first, every rate up to the
-    largest is equally likely, so most are near the largest; under the second, every power of ten of the speed is. Aliases fit
-    alike, and which of them is more probable must not depend on the prior.
+    A motion's probability follows from its log evidence and the prior of its strength of torques (rung). It is computed under two
+    priors of the rate: the normal prior of `Model.rate_sigma`, in which slow rates are rare; and a mean of that and of narrower
+    ones (`s.slower`), in which they are about as likely as fast ones. Aliases fit alike, so the prior alone would choose between
+    them. Therefore the larger of the two probabilities counts, normalised again: no motion is dismissed by one prior alone. Left
+    out are motions of less than `s.counted` times the largest probability.
     """
+    # logs of evidence times prior of the rung, an array (K) for each fit: under the first prior of the rate, then under the second
     log = [fitted.log_evidence + fits.log_rung[fits.rung(fitted)] for fitted in fits.fits]
     log_any_speed = [
         part + _gain_of_any_speed(fitted, s) for part, fitted in zip(log, fits.fits, strict=True)
     ]
-    # all motions under each of the two priors, one after the other
+    # the motions of all fits in one row, under each of the two priors
     under_priors = np.concatenate(log), np.concatenate(log_any_speed)
     weights = np.max([np.exp(part - logsumexp(part)) for part in under_priors], axis=0)
     weights = weights / weights.sum()
@@ -137,7 +140,7 @@ def _weighted_motions(fits: PassFits, s: SolutionSettings) -> list[WeightedMotio
 
 
 def _gain_of_any_speed(fitted: Fit, s: SolutionSettings) -> np.ndarray:
-    """Return by how much the log evidence of motions (K) changes if the size of their rate is not known to a power of ten.
+    """Return by how much the log evidence of motions (K) changes if not even the order of magnitude of their rate is known.
 
     The prior of the rate at the first sample is then the mean of normal priors whose sigmas are narrower by the factors `s.slower`.
     A fit that did not end in a minimum has no covariance: its evidence stays as it is.

@@ -412,7 +412,7 @@ def other_bodies(motions: Track, model: Model) -> Track:
 
 
 def grid_step(directions: int, dt: float, rate_max: float, s: SearchSettings) -> float:
-    """Return the step (rad/s) of a grid of rates up to `rate_max`: the radius of a basin, as a rotation in `dt` s.
+    """Return the step (rad/s) of a grid of rates up to `rate_max`: points are `s.basin_rad` apart, as rotations in `dt` s.
 
     So every rate has a point of the grid within its basin. The step is wider if the grids of all `directions` to the Sun would have
     more than `s.most_starts` points together.
@@ -423,24 +423,27 @@ def grid_step(directions: int, dt: float, rate_max: float, s: SearchSettings) ->
 
 
 def fine_up_to(model: Model, s: SearchSettings) -> float:
-    """Return the largest rate (rad/s) for which starts are dense enough; infinity if that is beyond the model's largest rate.
+    """Return the rate (rad/s) up to which the starts of a search are dense enough; infinity if that covers all rates of the model.
 
-    As the number of starts is limited, their distance grows with the rate. Points of a grid of rates (:func:`grid_step`) may be
-    `COARSE_RAD` apart, as rotations between the two closest samples. Whole revolutions (:func:`whole_turns`) may be twice as far
-    apart; they are tried only if the Sun may have nearly the same direction at both samples.
+    As the number of starts is limited, they are farther apart if rates may be larger. Their distance is measured as a rotation in
+    the shortest interval between two samples. Points of a grid of rates (:func:`grid_step`) may be `COARSE_RAD` apart. Whole
+    revolutions (:func:`whole_turns`) may be twice as far apart. They are tried only if the Sun may have nearly the same direction
+    at both samples; without them no rate is too large.
 
-    The grid is judged as if the sample allowed one direction to the Sun. If it allows several the grid is coarser, but is not
-    doubted for that: two of ten right files of spinning satellites were undecided so, and their true motions were found.
+    The limit of a grid is that for one direction to the Sun at the first of the two samples. Several share the points, so that the
+    grid is coarser. This is ignored: if it counted, two of ten correct files of spinning satellites were undecided, although the
+    search had found their true motions.
     """
-    dt = float(np.diff(model.obs.t_s).min())
-    first = int(np.argmin(np.diff(model.obs.t_s)))
+    intervals_s = np.diff(model.obs.t_s)
+    first = int(np.argmin(intervals_s))
+    dt = float(intervals_s[first])
     if _constant_rate_holds(model, first):
         searched = model.for_search(model.noise)[0]
         before, after = (allowed_directions(searched, first + k) for k in (0, 1))
-        largest_cosine = (before @ after.T).max()
-        # MOST_AXES axes at the angle rate dt are (rate dt) / sqrt(MOST_AXES / 4 pi) apart
+        may_be_alike = (before @ after.T).max() > np.cos(ANY_AXIS_RAD)
+        # MOST_AXES axes over the sphere are sqrt(4 pi / MOST_AXES) rad apart: rotations by rate dt about them, rate dt times that
         farthest = 2 * COARSE_RAD * np.sqrt(MOST_AXES / (4 * np.pi)) / dt
-        limit = farthest if largest_cosine > np.cos(ANY_AXIS_RAD) else np.inf
+        limit = farthest if may_be_alike else np.inf
     else:
         # the rate for which the step of the grid times dt is COARSE_RAD
         limit = COARSE_RAD / dt * (s.most_starts / (4 * np.pi / 3)) ** (1 / 3)

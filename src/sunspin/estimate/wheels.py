@@ -161,9 +161,10 @@ def _turn_alike(first: Model, second: Model, basin_rad: float) -> bool:
 
 
 def momentum_of_each(vehicle: Vehicle, telemetry: xr.Dataset, name: str) -> np.ndarray:
-    """Return the momentum (n_wheel, n, 3) of each wheel, in mean moments of inertia times rad/s; (0, n, 3) without an inertia.
+    """Return the momentum (n_wheel, n, 3) of each wheel in body axes; (0, n, 3) without an inertia.
 
-    `name`: of the model of the wheels, a key of :func:`wheel_models`, which gives the sum over all wheels.
+    It is divided by the mean moment of inertia of the body: rad/s. `name`: of the model of the wheels, a key of
+    :func:`wheel_models`, which gives the sum over all wheels.
     """
     t_s = np.asarray(telemetry["time"], dtype=np.float64)
     speed = wheel_speeds(vehicle, telemetry, t_s).get(name)
@@ -177,7 +178,7 @@ def momentum_of_each(vehicle: Vehicle, telemetry: xr.Dataset, name: str) -> np.n
 def reversed_momenta(
     vehicle: Vehicle, of_wheels: np.ndarray, inertia: np.ndarray, t_s: np.ndarray
 ) -> dict[tuple[int, ...], np.ndarray]:
-    """Return the total momentum (n, 3) with each wheel reversed, and with all, by the numbers of those that are reversed.
+    """Return numbers of reversed wheels -> total momentum (n, 3) of all wheels: with each wheel reversed, and with all.
 
     Wheels are left out if they hardly turn the rate of the body in the whole file, or turn it by more than :data:`WRAPPED_RAD`
     between two samples. `of_wheels` (n_wheel, n, 3): momenta with the signs of the file, and `inertia` (3, 3), in mean moments.
@@ -197,11 +198,12 @@ def reversed_momenta(
 def search_reversed(
     assessment: Assessment, name: str, nominal: Model, longest_pass: Pass, fitter: PassFitter
 ) -> tuple[dict[tuple[int, ...], np.ndarray], Iterable[float]]:
-    """Begin quick searches of the longest pass with reversed wheels; return the momenta of these, and an iterable of log evidence.
+    """Begin a quick search of the longest pass for each choice of reversed wheels; return their momenta and log evidence.
 
-    The momenta (n, 3) at all samples of the file are given by the numbers of the reversed wheels; the log evidence of each
-    (:func:`sunspin.estimate.quick.quick_evidence`) is in the same order. A pool of processes begins the searches at once; without a
-    pool each is made when its result is read. `name`: of the model of the wheels; `nominal`: the nominal model of the whole file.
+    The momenta map the numbers of the reversed wheels to the total momentum (n, 3) of all wheels at all samples of the file. The
+    log evidence (:func:`sunspin.estimate.quick.quick_evidence`) is an iterable in the same order. A pool of processes begins all
+    searches now; without one each is made when its value is read. `name`: of the model of the wheels (:func:`wheel_models`), from
+    which their speeds are taken; `nominal`: the nominal model of the whole file.
     """
     vehicle = assessment.vehicle
     of_wheels = momentum_of_each(vehicle, assessment.telemetry, name)

@@ -368,7 +368,7 @@ def _track(data: xr.Dataset, t_s: np.ndarray, interpolated: bool) -> OrbitTrack:
     when = Instants.of(str(data.attrs["epoch_utc"]), t_s + float(data.attrs["orbit_clock_s"]))
     if not interpolated:
         return OrbitTrack(position, velocity, sigma, when)
-    if len(time) < 2:
+    if len(time) < 2:  # no cubic through one sample: its state is repeated
         position, velocity = (np.repeat(x, len(t_s), axis=0) for x in (position, velocity))
         return OrbitTrack(position, velocity, np.repeat(sigma, len(t_s)), when)
     cubic = CubicHermiteSpline(time, position, velocity)
@@ -378,7 +378,11 @@ def _track(data: xr.Dataset, t_s: np.ndarray, interpolated: bool) -> OrbitTrack:
 def _targets(
     data: xr.Dataset, prefix: str, ground: Sequence[Station], in_space: bool
 ) -> dict[str, Directions]:
-    """Return the directions of each target in body axes, at the samples (prefix "") or at the times of the curve ("curve_")."""
+    """Return target -> its directions in body axes, at the samples (`prefix` "") or at the times of the curve (`prefix` "curve_").
+
+    The targets are the Sun and, if the attitude in J2000 and the orbit are known (`in_space`), nadir, ram and the stations
+    `ground`. An error along the track does not change the direction of the Sun.
+    """
     attitude = Rotation.from_quat(data[f"{prefix}B_from_N"].values)
     t_s, pass_of = data[f"{prefix}time"].values, data[f"{prefix}pass_of"].values
     sun = data["sun_B"].values
@@ -388,17 +392,20 @@ def _targets(
     if not in_space:
         return targets
     position, velocity, sigma_s, when = _track(data, t_s, interpolated=bool(prefix))
-    # for one sigma along the track: change of the position, and of the velocity by gravity, which is v^2/r in a round orbit
+    # changes by one sigma (`sigma_s`) along the track: `ahead` (m) of the position, and `velocity_change` (m/s) by the gravity,
+    # which is v^2 / r in a round orbit
     ahead = velocity * sigma_s[:, None]
     speed = np.linalg.norm(velocity, axis=1, keepdims=True)
     distance = np.linalg.norm(position, axis=1, keepdims=True)
-    falls = -position / distance**2 * speed**2 * sigma_s[:, None]
-    lines = {NADIR: (-position, -ahead), RAM: (velocity, falls)}
+    velocity_change = -position / distance**2 * speed**2 * sigma_s[:, None]
+    # target -> vector to it (n, 3) in J2000, of any length, and the change of that vector
+    lines = {NADIR: (-position, -ahead), RAM: (velocity, velocity_change)}
     for station in ground:
         lines[station.name] = (station.position_J2000(when) - position, -ahead)
     for name, (line, change) in lines.items():
         length = np.linalg.norm(line, axis=1, keepdims=True)
         unit = line / length
+        # change of the unit vector: the part of the change across the line, over its length
         across = (change - unit * np.sum(unit * change, axis=1, keepdims=True)) / length
         targets[name] = Directions(attitude.apply(unit), attitude.apply(across))
     return targets

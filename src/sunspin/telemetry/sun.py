@@ -414,16 +414,17 @@ def _is_undetermined(vehicle: Vehicle, direction: np.ndarray) -> np.ndarray:
 def _pooled_noise(
     power: np.ndarray, delta: np.ndarray, lit: np.ndarray, status: np.ndarray
 ) -> float:
-    """Return the sigma of a reading, estimated from the residuals of samples with redundant panels.
+    """Return the sigma of a reading, estimated from the residuals of all samples with more than three lit panels.
 
-    L lit panels have L - 3 degrees of freedom after brightness and direction. NaN if no sample has redundant panels, or if the
-    residuals are rounding errors, as in computed powers without noise.
+    `power` and `lit` (n, n_panel), `delta` and `status` (n) are of all samples. Brightness and direction are three numbers, so L
+    lit panels leave L - 3 degrees of freedom. The sigma is NaN if no sample has more than three lit panels, or if the residuals are
+    only rounding errors, as in computed powers without noise.
     """
-    redundant = status == SunStatus.OK
+    redundant = status == SunStatus.OK  # more than three panels lit
     degrees_of_freedom = (lit[redundant].sum(axis=1) - 3).sum()
     if degrees_of_freedom == 0:
         return float("nan")
-    # Delta is the misfit of unit vectors of powers
+    # Delta is the misfit of unit vectors of powers; times their length it is that of the powers
     residual = delta[redundant] * np.linalg.norm(power[redundant], axis=1)
     noise = float(np.sqrt((residual**2).sum() / degrees_of_freedom))
     return noise if noise > ROUNDING * power.max() else float("nan")

@@ -48,16 +48,18 @@ def leap_seconds_between(first_utc_s: float, last_utc_s: float) -> int:
 
 
 def utc_of_tai(tai_s: np.ndarray) -> np.ndarray:
-    """Return UTC (n), in s from 1970 with days of 86,400 s, for TAI (n) in s from 1970 on the TAI calendar.
+    """Return UTC (n), in s from 1970 with days of 86,400 s, of times `tai_s` (n): TAI in s from 1970 by the TAI calendar.
 
-    Days of 86,400 s have no place for a leap second. The leap second and the second before it are therefore compressed into one, so
-    that times increase. A time within these two seconds is wrong by half a second at most.
+    A day of 86,400 s has no place for a leap second. So the two seconds of TAI that end with a leap second are mapped to one second
+    of UTC, and times still increase. Within these two seconds UTC is wrong by at most half a second.
     """
     since, ahead = leap_table()
-    midnight = since + ahead  # TAI at the end of each leap second
+    since_tai = since + ahead  # TAI from which each entry holds: the end of its leap second
     tai_s = np.asarray(tai_s, dtype=np.float64)
-    utc = tai_s - ahead[np.maximum(np.searchsorted(midnight, tai_s, "right") - 1, 0)]
-    following = np.minimum(np.searchsorted(midnight, tai_s, "right"), len(midnight) - 1)
-    left = midnight[following] - tai_s  # s to the end of the next leap second
+    following = np.searchsorted(since_tai, tai_s, "right")  # index of the next entry
+    utc = tai_s - ahead[np.maximum(following - 1, 0)]
+    following = np.minimum(following, len(since_tai) - 1)
+    left = since_tai[following] - tai_s  # s to the end of the next leap second; negative if none
+    # the first entry, of 1972, is no leap second
     compressed = (left > 0) & (left <= 2) & (following > 0)
     return np.where(compressed, since[following] - left / 2, utc)

@@ -173,27 +173,33 @@ def _brightest(value: np.ndarray, largest: np.ndarray) -> np.ndarray:
 
 
 def _sunlit(vehicle: Vehicle, value: np.ndarray, largest: np.ndarray) -> bool:
-    """Return whether the Sun made the brightest readings (n, n_panel), and not noise in the dark.
+    """Return whether the Sun made the brightest of the readings (n, n_panel), and not noise in the dark.
 
-    Their misfit must be small, and smaller than in each of `SHUFFLES` random orders of the readings among the panels. The orders
-    are tested for noise that is equal for all panels in the readings' unit, and for noise that is equal as a share of each gain.
+    `largest` (n): largest reading of each sample. Sunlight fits the layout of the panels, and noise does not. So the median misfit
+    to the best direction must be below `FITS`. The rms misfit must be smaller than after each of `SHUFFLES` random permutations of
+    a sample's readings among the panels. Noise may be equal in all panels, or in proportion to their gains. So the readings are
+    permuted as they are, and also divided by the gains; both comparisons must agree.
     """
     bright = _brightest(value, largest)
+    # usual number of panels in the light
     n_lit = np.median((bright > LIT_SHARE * bright.max(axis=1, keepdims=True)).sum(axis=1))
-    # three panels or fewer fit any readings
+    # a direction fits any readings of three panels or fewer; `not >=` is also true for NaN, the median of no samples
     if len(vehicle.inputs) <= 3 or not n_lit >= 2 or len(np.unique(bright)) < DISTINCT:
         return False
     best_direction = vehicle.response_in().best_direction
     _, misfit = best_direction(bright)
     if not float(np.median(misfit)) < FITS:
         return False
+    # samples to permute: the brightest ones, if above the part `BRIGHT_SHARE` of a bright reading
     order = np.argsort(-largest, kind="stable")[:SHUFFLED]
     floor = BRIGHT_SHARE * float(np.quantile(largest, BRIGHT_QUANTILE))
     true_order = np.maximum(value[order[largest[order] > floor]], 0.0)
     rng, gains = np.random.default_rng(0), vehicle.input_gains
-    # unit of each panel's noise; with equal gains both cases are the same
-    for unit in [np.ones_like(gains)] if np.ptp(gains) == 0 else [np.ones_like(gains), gains]:
-        shuffled = rng.permuted(np.tile(true_order / unit, (SHUFFLES, 1)), axis=1) * unit
+    # noise of each panel, up to a factor: equal, or in proportion to the gain; equal gains make both cases the same
+    equal = np.ones_like(gains)
+    for noise_scale in [equal] if np.ptp(gains) == 0 else [equal, gains]:
+        readings = np.tile(true_order / noise_scale, (SHUFFLES, 1))
+        shuffled = rng.permuted(readings, axis=1) * noise_scale
         _, misfit = best_direction(np.concatenate([true_order, shuffled]))
         # mean square of the samples for each order, the true one first
         square = np.mean(misfit.reshape(-1, len(true_order)) ** 2, axis=1)

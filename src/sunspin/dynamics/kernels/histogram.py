@@ -189,6 +189,7 @@ def add_way(nodes, k):
 def begin_way(nodes):
     """Write the signed distance of node 0, where the next way begins, in all lanes."""
     at, way = nodes.at, nodes.way
+    # `write_signed` takes points at the ends of pieces: node 0 as that of the first, whose distance is then moved to the row before
     for l in range(L):
         way[POINT + l] = at[NODE + l]
         way[POINT + PIECES * L + l] = at[NODE + L + l]
@@ -209,14 +210,20 @@ def take_out(nodes, l, hist):
 
 
 def new_nodes(normals: np.ndarray, ends: np.ndarray, tolerance: float, bins: int) -> Nodes:
-    """Return empty working arrays for a mask (:class:`Nodes`), nodes at most `tolerance` rad apart, and this number of bins."""
+    """Return working arrays (:class:`Nodes`), filled with zeros, with which a run makes histograms of r_z with `bins` bins.
+
+    `normals` (n, 3) and `ends` (n_clause): the mask, as :func:`sunspin.dynamics.batch.half_spaces` returns it. `tolerance`: largest
+    rotation between two nodes, rad.
+    """
     return Nodes(
         at=np.zeros(L + PER_NODE * MOST_NODES, F),
         way=np.zeros(WAY_ROWS * L, F),
         bin=np.zeros(PIECES * L, np.int32),
         weight=np.zeros(PIECES * L, F),
         hist=np.zeros(L * bins, F),
+        # total momentum H (3), direction to the Sun (3), momenta h of at most four wheels
         state=np.zeros(10 * L),
+        # half the angle of the common rotation about H, later its sine and cosine
         angle=np.zeros(2 * L),
         normals=np.ascontiguousarray(normals, F).reshape(-1, 3),
         ends=np.ascontiguousarray(ends, np.int64),

@@ -189,17 +189,19 @@ class Mixture:
         index: np.ndarray,
         function: Callable[[LanderModel, LanderMotions], Sequence[np.ndarray]],
     ) -> list[np.ndarray]:
-        """Return the arrays (n, ...) of a function of a model and its motions for the draws `index` (n), which may be repeated.
+        """Return the arrays (n, ...) that `function` computes for the draws with the indices `index` (n), in this order.
 
-        Each draw is evaluated once, and models at the same time if there are several workers.
+        `function` takes a model and k motions of it, and returns arrays (k, ...). It is called once for each model, in parallel
+        threads if `workers` allows, and gets each draw once even if `index` repeats it.
         """
-        distinct, place = np.unique(index, return_inverse=True)
+        distinct, place_in_distinct = np.unique(index, return_inverse=True)
         parts = list(self.by_model(distinct))
         with ThreadPoolExecutor(min(self.workers, len(parts))) as pool:
             values = list(pool.map(lambda part: function(part[0], part[2]), parts))
-        # from the order of models back to that of `distinct`, and from there to that of `index`
-        place = np.argsort(np.concatenate([positions for _, positions, _ in parts]))[place]
-        return [np.concatenate(arrays)[place] for arrays in zip(*values, strict=True)]
+        # The values come one model after the other. `row_of_distinct`: where among them each draw of `distinct` is.
+        row_of_distinct = np.argsort(np.concatenate([positions for _, positions, _ in parts]))
+        rows = row_of_distinct[place_in_distinct]
+        return [np.concatenate(arrays)[rows] for arrays in zip(*values, strict=True)]
 
     def first_states(self, index: np.ndarray) -> FirstStates:
         """Return the states of the draws `index` (n) at the first sample."""

@@ -51,7 +51,7 @@ LEAST_MOMENT = 0.01
 100 % has 0.2 % of its mass below."""
 
 PRIOR_DRAWS = 20_000
-"""Draws by which the part of the prior that describes possible bodies is measured: a half to 1 % of itself, 0.03 to 4 %."""
+"""Draws from which the share of possible bodies in the prior is estimated: a share of 0.5 to 1 % of itself, one of 0.03 to 4 %."""
 
 Sizes = Mapping[str, int]
 """Kind of unknowns with several possible prior sigmas (:attr:`Unknown.shares`) -> index of the sigma that a fit uses."""
@@ -180,9 +180,9 @@ class LanderModel:
         return total, weight
 
     def log_prior_density(self, motions: LanderMotions) -> np.ndarray:
-        """Return the log prior density (K) over rate (rad/s), direction (solid angle) and u.
+        """Return the log prior density (K) over rate (rad/s), direction to the Sun (solid angle) and u.
 
-        It is minus infinity for bodies that cannot exist and rates above the largest, and normalised over all others.
+        It is minus infinity for bodies that cannot exist and for rates above the largest. Over all others it is normalised.
         """
         volume = np.log(4 / 3 * np.pi * self.max_rate**3) + np.log(4 * np.pi)
         density = -self.prior_cost(motions.u)[0] - 0.5 * len(self.unknowns) * np.log(2 * np.pi)
@@ -194,15 +194,20 @@ class LanderModel:
 
     @cached_property
     def log_possible(self) -> float:
-        """Return the log of the part of the prior that describes bodies that can exist."""
+        """Return the log of the prior probability that the unknowns describe a body that can exist (:meth:`_can_exist`).
+
+        It normalises :meth:`log_prior_density`. It is estimated from `PRIOR_DRAWS` draws, and zero if no inertia is unknown.
+        """
         if not self.indices(*MASS):
             return 0.0
-        # a property of the prior, which does not depend on the seed of the draws
+        # a fixed seed, as this is a property of the model: it must not change with the seed of the caller
         rng = np.random.default_rng(0)
         u = rng.standard_normal((PRIOR_DRAWS, len(self.unknowns)))
+        # in each draw all unknowns of a kind have the same one of its possible sigmas
         for indices, shares, log_probability in self._with_several_sigmas():
             u[:, indices] *= rng.choice(shares, (PRIOR_DRAWS, 1), p=np.exp(log_probability))
         count = np.count_nonzero(self._can_exist(self._bodies_of(u)))
+        # at least one draw counts as possible, so that the log is finite
         return float(np.log(max(count, 1) / PRIOR_DRAWS))
 
     def bodies(self, u: np.ndarray) -> Bodies:
@@ -252,8 +257,8 @@ class LanderModel:
         """Return unknowns u (K, m), changed where the body cannot exist.
 
         There all deviations of inertias are shortened to the part `inside` of the longest ones with which the body can exist. These
-        are found by bisection, as all shorter ones are possible too: the conditions are convex in the tensor of the body. The
-        inertia of a wheel is sampled by its logarithm: half of the deviation of that is less than half of the inertia's.
+        are found by bisection, as all shorter ones are possible too: the conditions are convex in the tensor of the body. A
+        wheel's unknown is the log of its inertia: half of a positive one adds less than half as much, so this holds for it too.
         """
         mass = self.indices(*MASS)
         if not mass or not len(u):
@@ -279,20 +284,22 @@ class LanderModel:
     def wheel_speeds(self, u: np.ndarray) -> np.ndarray:
         """Return the speeds (K, n_wheel) of the wheels at the reference, rad/s.
 
-        While they run down the body's rate is taken as constant, with an error of 1e-4 for Philae.
+        The vehicle file and the unknowns give them at the first sample. Until the reference, `after_s` later, friction slows every
+        wheel that its motor does not hold, as does a brake that is on. This neglects how the body's own rate about the wheel's axis
+        changes in that time: 0.3 rad/s if Philae takes up the whole momentum of its wheel, which ran at 865 rad/s.
         """
         wheels = self.vehicle.wheels
         stated = np.array([wheel.speed_rad_s for wheel in wheels])
         speeds = stated + self._deviation(u, "wheel_speed", len(wheels))
-        if not self.after_s:
+        if not self.after_s:  # the reference is the first sample
             return speeds
         bodies = self.bodies(u)
         for i, (wheel, command) in enumerate(zip(wheels, self.commands, strict=True)):
             if command != "hold":
-                # a brake adds to the Coulomb friction
-                brake = friction_limit(wheel, command) - wheel.friction.coulomb_N_m
+                # torque of the brake, zero if it is off; it acts like Coulomb friction
+                brake_N_m = friction_limit(wheel, command) - wheel.friction.coulomb_N_m
                 speeds[:, i] = spin_down_speed(
-                    bodies.coulomb_N_m[:, i] + brake,
+                    bodies.coulomb_N_m[:, i] + brake_N_m,
                     bodies.viscous_N_m_s[:, i],
                     bodies.wheel_inertia_kg_m2[:, i],
                     speeds[:, i],

@@ -53,9 +53,9 @@ def sample(
         draws, log_shares = pooled(ridges, settings.connected)
         rounds.append((draws.log_evidence, draws.effective / len(draws), draws.pareto_k))
         good = draws.effective >= settings.wanted and draws.pareto_k < settings.good_tail
-        # good draws end it never after the first round, whose proposals have not adapted to any draws yet
+        # good draws never end the sampling after the first round, whose proposals have not adapted to any draws yet
         last = (number and good) or number + 1 == settings.rounds
-        if last or budget.exhausted():  # asked only if a round would be left out
+        if last or budget.exhausted():  # the budget is asked only if its end would cancel a round
             break
         for ridge, own in zip(ridges, log_shares, strict=True):
             adapt(ridge, own)
@@ -68,7 +68,8 @@ def _draws_of_ridges(
 ) -> np.ndarray:
     """Return how many draws each ridge gets in the next round, in proportion to the root of its probability.
 
-    In the first round the probability is that of Laplace's method, later that of its draws: the sum over `log_shares` of each.
+    In the first round the probability of a ridge is that of Laplace's method. Later it is the sum over its draws of their
+    probabilities, whose logs are in `log_shares`.
     """
     if not log_shares:
         log_mass = np.array([ridge.laplace_log_mass for ridge in ridges])
@@ -76,35 +77,39 @@ def _draws_of_ridges(
     else:
         share = np.array([np.exp(logsumexp(own)) if len(own) else 0.0 for own in log_shares])
         root = np.where(share < settings.least, 0.0, np.sqrt(share / max(share.sum(), 1e-300)))
+        # if no draw has any weight, all ridges get as many
         root = root if root.any() else np.ones(len(ridges))
     return np.ceil(settings.draws * root / root.sum()).astype(int)
 
 
 def pooled(ridges: list[Ridge], connected: float) -> tuple[Draws, list[np.ndarray]]:
-    """Return the draws of all ridges and rounds together, and for each ridge the log probabilities of its own draws.
+    """Return the draws of all ridges and rounds together, and for each ridge the logs of the probabilities of its own draws.
 
-    If several ridges may propose a motion, the weight of a draw is multiplied by the part of its own ridge in the density of all
-    (multiple importance sampling, Veach 1995). `connected`: as in :func:`_solutions`.
+    Where ridges overlap, several of them may propose a motion. So that it counts once, the weight of a draw is multiplied by the
+    part of its own ridge in the summed density of all (multiple importance sampling, Veach 1995). `connected`: as in
+    :func:`_solutions`.
     """
+    # ridges without draws have no proposals yet
     drawn = [ridge for ridge in ridges if ridge.proposals is not None]
     proposed = [ridge.proposals for ridge in ridges if ridge.proposals is not None]
     motions = LanderMotions.joined([proposals.motions for proposals in proposed])
     # index of the ridge that each draw comes from
     ridge_of = np.repeat(np.arange(len(drawn)), [ridge.draw_count for ridge in drawn])
     count = len(ridge_of)
-    # each ridge has an integral of its own, the mean weight of its draws; the integral of all is the sum of these
+    # Logs of (weight / number of draws of the ridge). Times the parts below, the sum over a ridge is the integral of its part of
+    # the posterior, and the sum over all ridges that of the whole.
     weights = [ridge.log_weights() - np.log(ridge.draw_count) for ridge in drawn]
     log_weight = np.concatenate(weights)
-    # part of each ridge (r) in the density with which all ridges propose each draw (n)
+    # log of the part (n, r) that each ridge has in the density with which all ridges propose a draw
     log_part = np.zeros((count, 1))
     if len(drawn) > 1:
         log_density = np.stack([ridge.log_density(motions) for ridge in drawn], axis=1)
         log_part = log_density - logsumexp(log_density, axis=1, keepdims=True)
         log_weight = log_weight + log_part[np.arange(count), ridge_of]
-    # as weights whose mean is the integral (:class:`Draws`)
+    # NaN where no ridge has a density: no weight. Times the number of draws, as the mean weight is the evidence (:class:`Draws`).
     log_weight = np.where(np.isnan(log_weight), -np.inf, log_weight) + np.log(count)
     total = float(logsumexp(log_weight))
-    possible = np.isfinite(total)
+    possible = np.isfinite(total)  # some draw has a weight
     log_share = log_weight - total if possible else np.full_like(log_weight, -np.inf)
     draws = Draws(
         motions=motions,
@@ -115,6 +120,7 @@ def pooled(ridges: list[Ridge], connected: float) -> tuple[Draws, list[np.ndarra
         pareto_k=pareto_tail(log_weight) if possible else np.inf,
         log_evidence=total - float(np.log(count)) if possible else -np.inf,
     )
+    # the draws of each ridge follow one another; the part of a ridge without draws is empty
     ends = np.cumsum([0, *(ridge.draw_count for ridge in ridges)])
     return draws, [log_share[a:b] for a, b in zip(ends[:-1], ends[1:], strict=True)]
 
@@ -138,8 +144,8 @@ def adapt(ridge: Ridge, log_share: np.ndarray) -> None:
     """Adapt the proposals of a ridge to all its draws so far (population Monte Carlo: Cappe et al. 2008).
 
     `log_share` (N): log probability of each draw. Adapted are the curve z*(y), the scatter about it, and the mixture of outer
-    coordinates. A part of the next draws comes from the first mixture, so that parts of the posterior that no draw has reached may
-    still be.
+    coordinates. A part of the next draws comes from the first mixture, so that they may still reach parts of the posterior that no
+    draw has reached.
     """
     proposals, settings = ridge.proposals, ridge.settings
     if proposals is None or not np.isfinite(logsumexp(log_share)):
@@ -160,8 +166,8 @@ def adapt(ridge: Ridge, log_share: np.ndarray) -> None:
 class PredictiveCheck(NamedTuple):
     """Result of a predictive check.
 
-    `p`: share of simulated sets of readings that fit their motion worse than the real ones; `noise_sigmas`: mean log of the noise
-    over the stated one, in sigmas of its prior.
+    `p`: share of the simulated sets of readings that fit worse than the real ones; near 0 the real ones fit too badly, near 1 too
+    well. `noise_sigmas`: mean over the draws of log(noise / stated noise), in sigmas of its prior; 0 if the noise is no unknown.
     """
 
     p: float
@@ -174,13 +180,18 @@ def predictive_check(
     rng: np.random.Generator,
     settings: SamplingSettings = SAMPLING,
 ) -> PredictiveCheck:
-    """Return how often readings simulated from `motions`, draws of equal weight, fit worse than the real readings."""
+    """Return how often simulated readings fit worse than the real ones (posterior predictive check), and the mean noise unknown.
+
+    `motions`: draws of equal weight, of which the first `settings.checked` are used. For each, `settings.copies` sets of readings
+    are simulated. A set fits worse if its log likelihood under its motion is at most that of the real readings.
+    """
     motions = motions.take(slice(0, settings.checked))
     track = target.track(motions)
     real = target.log_likelihood(track, motions.u)
+    # (copies, draws)
     worse = [target.log_replicated(track, motions.u, rng) <= real for _ in range(settings.copies)]
-    noise = target.model.indices("noise")
-    noise_sigmas = float(motions.u[:, noise].mean()) if noise else 0.0
+    noise_indices = target.model.indices("noise")
+    noise_sigmas = float(motions.u[:, noise_indices].mean()) if noise_indices else 0.0
     return PredictiveCheck(float(np.mean(worse)), noise_sigmas)
 
 

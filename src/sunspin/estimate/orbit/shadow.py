@@ -181,19 +181,23 @@ def _sunlit_by_panels(assessment: Assessment) -> tuple[np.ndarray, np.ndarray]:
 def _in_full_shadow(
     orbit: Orbit, t_s: np.ndarray, offsets_s: np.ndarray, sigmas: float
 ) -> np.ndarray:
-    """Return which samples (K, n) at times t_s (n) are in the full shadow at along-track offsets (K) in s.
+    """Return which samples (K, n) surely are in the full shadow, for each of K along-track offsets.
 
-    They are there for every drift of the offset within so many `sigmas` of its prior.
+    `t_s` (n): times of the samples; `offsets_s` (K), s: added to the offset of the orbit. The offset also drifts, at an unknown
+    rate: a sample counts only if it is in the shadow for every drift within `sigmas` standard deviations of its prior.
     """
     when = orbit.instants(t_s)
     sun, ahead_s = sun_J2000_m(when), orbit.ahead_s(when) + offsets_s[:, None]
+    # what the drift may add to the offset at each sample (n), at most half a revolution; less than a second is neglected
     drift_s = sigmas * orbit.drift_sigma_s_day * np.abs(orbit.days(when))
     drift_s = np.minimum(drift_s, orbit.elements[0].period_s / 2)
     steps = int(np.ceil(drift_s.max() / DRIFT_STEP_S)) if drift_s.max() > 1.0 else 0
     dark = np.ones(ahead_s.shape, dtype=bool)
-    for share in np.linspace(-1, 1, 2 * steps + 1) if steps else [0.0]:  # of the largest drift
+    # parts of the largest drift, from -1 to 1
+    for share in np.linspace(-1, 1, 2 * steps + 1) if steps else [0.0]:
         position, _ = orbit.states(when, ahead_s + share * drift_s)
-        # the shadow of an Earth smaller by DEPTH_M, seen from farther out in proportion
+        # An Earth whose radius is smaller by DEPTH_M has the same shadow, scaled down. As `sunlit_fraction` knows only the whole
+        # Earth, the position is scaled up by the same factor.
         outward = position * EQUATOR_M / (EQUATOR_M - DEPTH_M)
         dark &= sunlit_fraction(outward, np.broadcast_to(sun, position.shape)) == 0
     return dark

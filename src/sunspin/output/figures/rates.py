@@ -56,10 +56,10 @@ def rates_figure(result: xr.Dataset, telemetry: xr.Dataset | None = None) -> Any
     for k, row in enumerate(grid):
         row[0].set_ylabel(rf"$\omega_{'xyz'[k]}$ (deg/s)")
         low, high = row[0].get_ylim()
-        if low < 0 < high:  # a line that is out of sight would squeeze the curve
+        if low < 0 < high:  # elsewhere the line would extend the axis and squeeze the curve
             for axes in row:
                 axes.axhline(0, color=GREY, lw=0.5)
-    # the legend is for all components, whose colours differ: black and grey
+    # the legend is black and grey, as it is for all components, which have different colours
     curve = Line2D([], [], color=BLACK, lw=1, marker=".", ms=5)
     curve.set_label("solution: samples, and between them")
     band = Patch(color=GREY, alpha=0.5, lw=0, label="one sigma")
@@ -83,22 +83,23 @@ def _estimated_zero(result: xr.Dataset, number: int, k: int) -> float:
 def draw_component(
     axes: Any, result: xr.Dataset, number: int, k: int, label: str | None = None
 ) -> None:
-    """Draw component `k` of the rate (deg/s) in pass `number`: dots at samples, and curve and one-sigma band in between.
+    """Draw component `k` of the rate (deg/s) in pass `number` over minutes: dots at samples, a curve, and its one-sigma band.
 
-    The curve is that between samples if the result holds one, else it connects the samples.
+    The curve is the motion between the samples if the result contains it (`curve_omega_B`). Else straight lines connect the
+    samples.
     """
     inside = result["pass_of"].values == number
-    t, mean = result["time"].values[inside], np.degrees(result["omega_B"].values[inside, k])
+    t, rate_deg = result["time"].values[inside], np.degrees(result["omega_B"].values[inside, k])
     sigma, begin = np.sqrt(result["omega_cov_B"].values[inside, k, k]), t[0]  # rad/s
-    axes.plot((t - begin) / 60, mean, ".", color=COLOURS[k], ms=4)
+    axes.plot((t - begin) / 60, rate_deg, ".", color=COLOURS[k], ms=4)
     if "curve_omega_B" in result:
         curve = result.isel(curve_time=result["curve_pass_of"].values == number)
-        t, mean = curve["curve_time"].values, np.degrees(curve["curve_omega_B"].values[:, k])
+        t, rate_deg = curve["curve_time"].values, np.degrees(curve["curve_omega_B"].values[:, k])
         sigma = curve["curve_omega_sigma_B"].values[:, k]
     minutes, sigma_deg = (t - begin) / 60, np.degrees(sigma)
     band = {"color": COLOURS[k], "alpha": 0.25, "lw": 0}
-    axes.fill_between(minutes, mean - sigma_deg, mean + sigma_deg, **band)
-    axes.plot(minutes, mean, color=COLOURS[k], lw=1, label=label)
+    axes.fill_between(minutes, rate_deg - sigma_deg, rate_deg + sigma_deg, **band)
+    axes.plot(minutes, rate_deg, color=COLOURS[k], lw=1, label=label)
 
 
 @styled

@@ -196,11 +196,17 @@ class JoinedResponse(PanelResponse):
 
     @cached_property
     def _planes(self) -> np.ndarray:
-        """Unit normals (n, 3) of the planes in which a panel grazes, or two panels of a largest-reading input are equal."""
+        """Return the unit normals (n, 3), each plane once, of the planes that separate cells.
+
+        In such a plane a panel grazes (the Sun is in its plane), or two panels have equal signals, of which an input reads the
+        larger.
+        """
         normals = [*self.normals_B]
         for shared in self.inputs:
             for i, j in combinations(shared.panels, 2) if shared.largest else ():
+                # signals are rows times direction: they are equal where the Sun is perpendicular to the difference of the rows
                 difference = self._rows[i] - self._rows[j]
+                # panels with equal rows have equal signals everywhere, so that there is no plane
                 if (size := np.linalg.norm(difference)) > ON_PLANE * self.largest_power:
                     normals.append(difference / size)
         # opposite normals are the same plane
