@@ -280,8 +280,11 @@ def shared(*names: str, out: bool | str = True) -> Callable:
     declared = {key.split()[0]: (key.split(), arguments) for key, arguments in SHARED.items()}
 
     def decorate(function: Callable) -> Callable:
+        """Return `function` with these options; it receives their values as the docstring of `shared` says."""
+
         @wraps(function)
         def command(as_json: bool, quiet: bool, out: Path | None = None, **given: Any) -> None:
+            """Replace the values of --data, --tle and the output options by what the function receives, and call it."""
             name = click.get_current_context().command.name or ""
             if "--data" in names:
                 telemetry, data = given["telemetry"], given.pop("data")
@@ -292,11 +295,14 @@ def shared(*names: str, out: bool | str = True) -> Callable:
 
         decorated: Callable = command
         satellite = ["--norad"] if "--tle" in names else []
+        # reversed: click lists the option that was added last first
         for name in reversed(
             (*names, *satellite, *(["--out"] if out else []), "--json", "--quiet")
         ):
             option_names, arguments = declared[name]
-            default: dict[str, Any] = {} if name != "--out" or out is True else {"default": out}
+            # `out` is the default of --out if it is a text
+            has_default = name == "--out" and out is not True
+            default: dict[str, Any] = {"default": out} if has_default else {}
             decorated = click.option(*option_names, **arguments, **default)(decorated)
         return decorated
 

@@ -99,7 +99,7 @@ def check_columns(
     vehicle, telemetry = assessment.vehicle, assessment.telemetry
     observed = what_was_observed(vehicle, telemetry, result.attrs)
     result = _with_unseen_changes(result, observed, telemetry)
-    result = _with_symmetric_motions(result, observed, telemetry)
+    result = _undecided_by_symmetry(result, observed, telemetry)
 
     # What the samples of the longest pass, each by itself, say of the columns. This is asked only of a file of panels alone that
     # fits: with another sensor, a file of wrong columns does not fit.
@@ -165,20 +165,22 @@ def _with_unseen_changes(
     return result.assign_attrs(columns_unseen=json.dumps(rows))
 
 
-def _with_symmetric_motions(
+def _undecided_by_symmetry(
     result: xr.Dataset, observed: Observed, telemetry: xr.Dataset
 ) -> xr.Dataset:
-    """Return the result in which no pass is unique if another motion with the same panel readings is missing among its solutions.
+    """Return the result in which a pass is not unique if a symmetric motion, with the same panel readings, is no solution of it.
 
-    Such a motion exists if a rotation or mirror of the body leaves all panels as they are; a mirror does if all lit panels lie in a
-    plane. attrs["symmetric_unlisted"] counts the passes that are no longer unique.
+    There is a symmetric motion if a rotation or mirror of the body leaves all panels as they are. There is one too if the normals
+    of all lit panels lie in a plane: the mirror across this plane changes no reading. Only passes that are unique and fit are
+    tested. Those with such a motion lose `decided` and `unique`; attrs["symmetric_unlisted"] counts them.
     """
+    # without "noise" no reading of a panel counted
     if not observed.panels or "noise" not in result.attrs:
         return result
     decided, unique = (result[name].values.copy() for name in ("decided", "unique"))
     why = result["why_not_decided"].values.astype(object)
     noise = noise_of(result, observed.vehicle)
-    doubted = 0
+    unlisted = 0
     for k in np.flatnonzero(unique & result["fits"].values):
         lit = Observed.of(observed.vehicle, samples_of(result, telemetry, k)).lit
         sun = result["sun_B"].values[result["pass_of"].values == k]
@@ -189,13 +191,13 @@ def _with_symmetric_motions(
         )
         if has_unlisted_motion(replace(observed, lit=lit, sun_B=sun), omega, sigma, noise):
             decided[k] = unique[k] = False
-            doubted += 1
+            unlisted += 1
             why[k] = join_reasons(why[k], "several motions: a symmetric one is not listed")
     return result.assign(
         decided=("pass_id", decided),
         unique=("pass_id", unique),
         why_not_decided=("pass_id", why.astype(np.str_)),
-    ).assign_attrs(symmetric_unlisted=doubted)
+    ).assign_attrs(symmetric_unlisted=unlisted)
 
 
 def noise_of(result: xr.Dataset, vehicle: Vehicle) -> np.ndarray | float:

@@ -81,21 +81,24 @@ class Body:
 
     @classmethod
     def of(cls, vehicle: Vehicle, torques_stated: bool = False) -> Body:
-        """Return the body of a vehicle; without an inertia a sphere with large errors.
+        """Return the body of a vehicle: its inertia in mean moments, with the errors that the vehicle file states, or default ones.
 
-        `torques_stated`: the strength of unknown torques is stated. It then also covers the nutation of a body that is no sphere,
-        and a body without an inertia has no errors.
+        Without an inertia it is a sphere, whose moments and products have the large errors UNKNOWN_MOMENT and UNKNOWN_PRODUCT.
+        `torques_stated`: the vehicle file or the user states the strength of unknown torques. The sphere then has no errors, as
+        this strength must also cover the nutation of a body that is no sphere. A stated inertia keeps its errors.
         """
         if vehicle.inertia_kg_m2 is None:
             sigma = np.where(np.eye(3, dtype=bool), UNKNOWN_MOMENT, UNKNOWN_PRODUCT)
-            errors = _element_errors(sigma)
-            return cls(np.eye(3), errors[: 0 if torques_stated else None], sphere=True)
+            errors = np.zeros((0, 3, 3)) if torques_stated else _element_errors(sigma)
+            return cls(np.eye(3), errors, sphere=True)
         tensor = np.array(vehicle.inertia_kg_m2)
         moments = np.diag(tensor)
         fact = vehicle.facts.get("body.inertia_kg_m2")
         if fact is not None and fact.sigma is not None:
+            # one sigma for all elements, or one for each
             sigma = np.broadcast_to(np.asarray(fact.sigma, dtype=np.float64), (3, 3))
         else:
+            # of a moment relative to itself, of a product relative to the mean moment
             sigma = INERTIA * np.where(np.eye(3, dtype=bool), np.diag(moments), moments.mean())
         return cls(tensor / moments.mean(), _element_errors(sigma) / moments.mean())
 
@@ -145,7 +148,7 @@ class Body:
 
 
 def _element_errors(sigma: np.ndarray) -> np.ndarray:
-    """Return symmetric tensors (e, 3, 3), each with the sigma of one element of `sigma` (3, 3); none for exact elements."""
+    """Return symmetric tensors (e, 3, 3), each one sigma of one element of `sigma` (3, 3); an exact element has none."""
     i, j = np.nonzero(np.triu(sigma > 0))
     errors = np.zeros((len(i), 3, 3))
     e = np.arange(len(i))

@@ -240,20 +240,23 @@ def search_motions(
     slowest: float = 0.0,
     inertia_held: bool = True,
 ) -> list[Track]:
-    """Return the motions that a search under unknown torques of the strength `noise` (rad/s^1.5) leaves.
+    """Return the motions that remain after a search under unknown torques of the strength `noise` (rad/s^1.5), in the axes N of
+    `nominal`.
 
     There is a track for each model that is searched: several if readings may mean several things, as those of panels whose full
-    scale is in doubt (`Model.for_search`). `slowest` (rad/s): no start is slower. If it is zero and no model has a motion,
-    InputError is raised. If not, slower motions were searched before: one pair of samples to start from is enough, and the list may
-    be empty.
-    `inertia_held`: the errors of the inertia are no unknowns while the window grows; else the search takes longer.
+    scale is in doubt (`Model.for_search`). A model without a motion has no track. `slowest` (rad/s): slower starts are left out, as a
+    search before this one had them. A single pair of samples to start from is then enough, and there may be no track at all. If
+    `slowest` is zero that raises InputError. `inertia_held`: the inertia is fixed in the search. If not, its errors are unknowns,
+    and the search takes longer.
     """
-    # In axes that follow the magnetic field, and turn in space, a true motion may exceed the cost limit: no further pairs then
+    # If the known field leads the search, N follows the field, which turns in space. Even the true motion may then miss the limit
+    # at which a motion fits, so a misfit is no reason to start from further pairs.
     search_settings = s if leading_field(nominal) is None else replace(s, more_places=0)
     tracks, refused = [], None
     for model in models_to_search(nominal, Noise(noise)):
         starts, body = pair_starts(model, s, slowest), model.body
         if not inertia_held:
+            # the errors of the inertia become unknowns again, zero in each start
             body = nominal.body
             starts = (
                 (window, replace(motions, u=np.zeros((len(motions), len(body.errors)))))

@@ -161,7 +161,10 @@ def _attributes(
 
 
 def _curves(solved: Sequence[Solutions], nominal: Model) -> dict[str, Any]:
-    """Return the variables on `curve_time`: the best motion of each pass at evenly spaced instants, between the samples too."""
+    """Return the variables on `curve_time` (s): the best motion of each pass at evenly spaced instants, between the samples too.
+
+    Rates and their sigmas are in rad/s, body axes; one pass follows the other. `solved`: the solutions of each pass.
+    """
     times, tracks = [], []
     for of_pass in solved:
         model = replace(nominal, obs=of_pass.obs)

@@ -184,26 +184,29 @@ def simulate_pass(
     bits: int | None = None,
     orbit: tuple[Source, ...] = (),
 ) -> SimulatedPass:
-    """Return a simulated pass of a body that starts to rotate about a random axis, from a random attitude, with held wheels.
+    """Return a simulated pass of a body without torques: its attitude and the axis of its first rate are random, its wheels held.
 
-    The readings have noise, an error of the gain of each panel, and the light of the Earth.
+    The readings have noise, an error of the gain of each panel, and the light of the Earth. Without an inertia in the vehicle file
+    the moments are random (`MOMENT_RANGE`), and there are no wheels.
 
     Parameters
     ----------
     t_s : (n), times of the samples, s
     speed_rad_s : angular speed at the first sample
+    rng : generator of all random numbers
     bits : bits of the converter, whose range is 1.2 times full Sun; None: readings are not rounded
-    orbit : element sets or tables of positions, from which eclipses and the light of the Earth at a random time follow; if empty,
-        the Sun always shines, and the light of the Earth comes from a random direction
+    orbit : element sets or tables of positions. The pass begins at a random time in the orbit, which gives eclipses and the light
+        of the Earth. If empty, the Sun always shines, and the light of the Earth comes from a random direction
     """
     t_s = on_time_grid(t_s)
     axis, first_quaternion = rng.standard_normal(3), rng.standard_normal(4)
     body = vehicle
     if vehicle.inertia_kg_m2 is None:
+        # relative moments only, in which the momentum of wheels is not known: `rates` leaves them out too
         body = replace(vehicle, inertia_kg_m2=np.diag(rng.uniform(*MOMENT_RANGE, 3)), wheels=())
     omega_B = speed_rad_s * axis / np.linalg.norm(axis)
     speeds = [wheel.speed_rad_s for wheel in body.wheels]
-    # any direction of the Sun: only rates and relative attitudes of this motion are used
+    # `propagate` needs a direction to the Sun; only the rates and relative attitudes of its result are used
     z_B = np.array([0.0, 0.0, 1.0])
     motion = propagate(body, omega_B, z_B, speeds, t_s, wheel_mode="hold", rtol=1e-9)
     # the attitudes of `motion` are relative to that of the first sample, which gets a random one

@@ -32,17 +32,17 @@ at which it ends."""
 
 NOISE_ALONE = 0.01
 """Smallest probability of an accepted explanation. For noise alone it is the probability that any so many of a file's samples show
-forbidden patterns; for misaligned panels that of the least probable sample, times the number of samples."""
+impossible patterns; for misaligned panels that of the least probable sample, times the number of samples."""
 
 CHUNK = 2000
 """Samples searched at once; the search of each starts from every cell of the sphere."""
 
 NOISE, TURNS = "noise alone", "noise and the stated turns of panels"
-"""Explanations of forbidden patterns without a lost panel."""
+"""Explanations of impossible patterns without a lost panel."""
 
 
 class NoiseVerdict(NamedTuple):
-    """Probability that noise made the samples of one forbidden pattern.
+    """Probability that noise made the samples of one impossible pattern.
 
     `largest`: largest `probability` of `NoiseFit` among the samples; `log10_together`: log10 of the product of these probabilities,
     because the noise of the samples is independent.
@@ -93,50 +93,55 @@ def panel_health(vehicle: Vehicle, telemetry: Any, **options: Any) -> PanelHealt
     Parameters
     ----------
     telemetry : Dataset of `read_telemetry`, (n, n_panel) powers, or Dataset of `sun_directions`
-        The latter has no powers, so that the probability of noise is not computed.
+        The latter has no powers, so that no probabilities are computed.
     **options
-        `noise`, `lit_threshold`, `wrong_unit` and `quality`, as for `sun_directions`.
+        `noise`, `lit_threshold`, `wrong_unit` and `quality`, as for `sun_directions`; not used with a Dataset of it.
 
     Returns
     -------
     xarray.Dataset
-        `allowed_lit (allowed_pattern, panel)`: illumination patterns that geometry allows, for directions in no panel's plane.
+        `allowed_lit (allowed_pattern, panel)`: patterns of the Sun directions that graze no panel (`lit_patterns`).
         `impossible_lit (pattern, panel)`: impossible patterns, with `samples (pattern)`, their number of samples.
-        `lost (explanation, panel)`: the smallest sets of panels whose loss explains all impossible patterns; no rows if there is
-        nothing to explain or no explanation.
+        `lost (explanation, panel)`: the smallest sets of panels whose loss explains all impossible patterns but those that noise
+        and the stated misalignments can make; no rows if nothing is left to explain, or no set explains it.
         `largest` and `log10_together (pattern)`: as in `NoiseVerdict`; NaN without powers, or if the noise is only assumed.
-        `turned (pattern)`: bound on the probability that noise and the stated misalignments make the least likely sample; NaN also
-        if no misalignments are stated.
+        `turned (pattern)`: upper bound on the probability that noise and the stated misalignments together make the least probable
+        sample of the pattern; NaN also if no misalignments are stated.
 
         The returned object also has ``["allowed"]`` (tuples of names), ``["impossible"]`` ({pattern: number of samples}),
         ``["explanations"]`` (tuples of names) and ``["noise"]`` ({pattern: `NoiseVerdict`}).
     """
-    is_sun = isinstance(telemetry, xr.Dataset) and "lit" in telemetry
-    sun = telemetry if is_sun else sun_directions(vehicle, telemetry, **options)
-    forbidden = np.flatnonzero(np.asarray(sun["status"]) == SunStatus.IMPOSSIBLE)
+    is_directions = isinstance(telemetry, xr.Dataset) and "lit" in telemetry
+    directions = telemetry if is_directions else sun_directions(vehicle, telemetry, **options)
+    impossible = np.flatnonzero(np.asarray(directions["status"]) == SunStatus.IMPOSSIBLE)
     names = np.array(vehicle.input_names)
-    sample_patterns = [tuple(names[lit].tolist()) for lit in np.asarray(sun["lit"])[forbidden]]
+    sample_patterns = [
+        tuple(names[lit].tolist()) for lit in np.asarray(directions["lit"])[impossible]
+    ]
     patterns = list(dict.fromkeys(sample_patterns))
-    # for each pattern, which of the forbidden samples show it
+    # for each pattern, which of the impossible samples show it
     shows = [np.array([shown == pattern for shown in sample_patterns]) for pattern in patterns]
-    threshold = sun["lit_threshold"].values
+    threshold = directions["lit_threshold"].values
     # a noise that is only assumed explains nothing
-    sigma = sun["noise"].values * (np.nan if sun.attrs["noise_from"] == ASSUMED_FROM else 1.0)
+    sigma = directions["noise"].values * (
+        np.nan if directions.attrs["noise_from"] == ASSUMED_FROM else 1.0
+    )
     largest, together, turned = np.full((3, len(patterns)), np.nan)
-    if not is_sun and patterns and (sigma > 0).all():
+    if not is_directions and patterns and (sigma > 0).all():
         power = panel_readings(vehicle, telemetry)
-        log_chance = noise_alone(vehicle, power[forbidden], sigma, threshold).log_probability
+        log_chance = noise_alone(vehicle, power[impossible], sigma, threshold).log_probability
         largest = np.array([np.exp(log_chance[samples].max()) for samples in shows])
         together = np.array([log_chance[samples].sum() / np.log(10) for samples in shows])
         if (tilt := misalignment_signal_sigma(vehicle)).any():
-            # A misalignment changes a reading in proportion to the brightness of the sample. If the Sun is oblique to all panels
-            # its own estimate is too low; then that of the brighter samples is taken.
-            bright = np.nan_to_num(brightness(vehicle, power, sun["best_B"].values))
-            bright = np.maximum(bright, np.quantile(bright, BRIGHT_QUANTILE))[forbidden, None]
-            tilted = noise_alone(vehicle, power[forbidden], sigma, threshold, bright * tilt)
+            # A misalignment changes a reading in proportion to the brightness. That of a sample with the Sun oblique to all panels
+            # is underestimated, so no sample is taken to be darker than the bright ones of the file (BRIGHT_QUANTILE).
+            bright = np.nan_to_num(brightness(vehicle, power, directions["best_B"].values))
+            bright = np.maximum(bright, np.quantile(bright, BRIGHT_QUANTILE))[impossible, None]
+            tilted = noise_alone(vehicle, power[impossible], sigma, threshold, bright * tilt)
             turned = np.array([tilted.probability[samples].min() for samples in shows])
-    # a NaN, for a probability that was not computed, excuses no pattern
-    by_misalignment = turned * sun.sizes["time"] > NOISE_ALONE
+    # That any of the n samples of the file is so improbable has at most n times the probability for one sample. A comparison with
+    # NaN, a probability that was not computed, is false and excuses no pattern.
+    by_misalignment = turned * directions.sizes["time"] > NOISE_ALONE
     unexplained = [
         pattern for pattern, excused in zip(patterns, by_misalignment, strict=True) if not excused
     ]
@@ -163,7 +168,7 @@ def panel_health(vehicle: Vehicle, telemetry: Any, **options: Any) -> PanelHealt
     }
     health = PanelHealth(
         coords={"panel": names.tolist()},
-        attrs=provenance("panel_health", sun, **vehicle.result_attributes)
+        attrs=provenance("panel_health", directions, **vehicle.result_attributes)
         | {"noise_sigma": float(np.median(sigma)), "lit_threshold": float(np.median(threshold))},
     )
     for key, (dimension, panel_sets, long_name) in sets.items():
@@ -177,7 +182,7 @@ def panel_health(vehicle: Vehicle, telemetry: Any, **options: Any) -> PanelHealt
 
 
 def find_cause_without_loss(health: PanelHealth, n: int) -> str:
-    """Return `NOISE` or `TURNS` if it may have made all forbidden patterns of `panel_health` among `n` samples, else an empty text.
+    """Return `NOISE` or `TURNS` if it may have made all impossible patterns of `panel_health` in `n` samples, else an empty text.
 
     For noise, the product of the samples' probabilities is multiplied by the number of ways to choose so many of `n` samples.
     """
@@ -187,7 +192,7 @@ def find_cause_without_loss(health: PanelHealth, n: int) -> str:
         log10 = float(health["log10_together"].sum()) + log_ways / np.log(10)
         if log10 > np.log10(NOISE_ALONE):
             return NOISE
-    # misalignments are the same in all samples, so that only the least probable sample of each pattern counts
+    # misalignments are the same in all samples, so only the least probable sample of each pattern counts
     least_probable = health["turned"].values
     by_misalignment = least_probable.size > 0 and (least_probable * n > NOISE_ALONE).all()
     return TURNS if by_misalignment else ""

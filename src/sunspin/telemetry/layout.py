@@ -30,22 +30,27 @@ class Samples(NamedTuple):
     notes: tuple[str, ...] = ()
 
 
-def collect_metrics(table: TextTable, time_column: str, names: set[str]) -> Samples:
-    """Return a table of one value a row as a table with a column for each name and a row for each time, in the order of time.
+def pivot_series(table: TextTable, time_column: str, names: set[str]) -> Samples:
+    """Return a table of one value a row as a table with a row for each time, in order, and a column for each series.
 
-    `names`: the columns that the vehicle file reads. A table that has one of them in its header is returned unchanged, as is one
-    without columns for a time and a value (`VALUE_NAMES`).
+    Each row of such a file has a time, a value and the name of its series, such as "P1_W". The value is in the one column with a
+    name of `VALUE_NAMES`. The name is in the column whose cells are most often one of `names`, else in one called as in
+    `SERIES_NAMES`. Other columns are dropped. A cell is empty if its series has no value at that time.
+
+    `names`: the columns that the vehicle file reads, empty if there is none. The table is returned unchanged if its header has one
+    of them, or if it lacks the time, the value (or has several) or the name.
 
     Raises
     ------
     TelemetryError
-        The file has two different values of a name for one time.
+        The file has two different values of a series for one time.
     """
     values = [name for name in table.header if name.strip().lower() in VALUE_NAMES]
     if names & set(table.header) or time_column not in table.header or len(values) != 1:
         return Samples(table)
     value_column = values[0]
     others = [name for name in table.header if name not in (time_column, value_column)]
+    # for each column, how many of its cells name a column of the vehicle file
     wanted = {name: table.cells[name].str.strip().isin(names).sum() for name in others}
     series_column = max(wanted, key=lambda name: wanted[name], default="")
     if not wanted.get(series_column):
@@ -61,6 +66,7 @@ def collect_metrics(table: TextTable, time_column: str, names: set[str]) -> Samp
     row_of_time = {time: row for row, time in enumerate(instants)}
     column_of_series = {name: k for k, name in enumerate(dict.fromkeys(series.tolist()))}
     rows = np.full((len(instants), len(column_of_series)), "", dtype=object)
+    # the number in the file of the first row of each time, by which messages name the sample
     first_line = np.zeros(len(instants), dtype=np.int64)
     for i, (time, name, cell) in enumerate(zip(times, series, cells, strict=True)):
         row, k = row_of_time[time], column_of_series[name]
@@ -103,10 +109,10 @@ def _describe_sources(table: TextTable, columns: list[str], series_column: str) 
 def join_packets(
     table: TextTable, time: np.ndarray, span_s: float, reading_columns: set[str]
 ) -> tuple[Samples, np.ndarray]:
-    """Return a table in which rows within `span_s` of the first are one sample, and the rows (m) that begin a sample.
+    """Return a table in which rows within `span_s` of the first one are joined to one sample, and the rows (m) that begin a sample.
 
-    `time` (n): increasing times of the rows, s. A row that has a reading which the sample already has begins the next sample. The
-    time of a sample is that of its first row. A sentence says how much later columns are read.
+    `time` (n): increasing times of the rows, s. A row that has a reading in a column of `reading_columns` which the sample already
+    has begins the next sample. The time of a sample is that of its first row. A sentence says how much later columns are read.
     """
     cells = table.cells.to_numpy(copy=True)
     filled = np.array([[bool(cell.strip()) for cell in row] for row in cells])

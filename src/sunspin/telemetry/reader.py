@@ -20,7 +20,7 @@ import xarray as xr
 from sunspin.base.errors import TelemetryError
 from sunspin.base.provenance import provenance
 from sunspin.base.tables import TextTable, read_table
-from sunspin.telemetry.layout import collect_metrics, join_packets
+from sunspin.telemetry.layout import join_packets, pivot_series
 from sunspin.telemetry.noise import lowest_reading
 from sunspin.telemetry.sensors import ABSURD, read_columns, read_sensors, sensor_columns
 from sunspin.telemetry.stored import KIND, restore_telemetry
@@ -117,7 +117,7 @@ def read_telemetry(path: Any, vehicle: Vehicle, *, columns: Sequence[str] = ()) 
         what = "the file holds raw frames and no readings"
         do = "turn them into a table first with `sunspin decode`"
         raise TelemetryError(what, do=do, where=str(path))
-    table, layout_notes = collect_metrics(table, form.time_column, columns_of_readings(vehicle))
+    table, layout_notes = pivot_series(table, form.time_column, columns_of_readings(vehicle))
     header = set(table.header)
     sensors = read_sensors(vehicle, table)
     panel_columns = _panel_columns(vehicle, table, optional=bool(sensors))

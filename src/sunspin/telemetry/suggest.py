@@ -16,7 +16,7 @@ import numpy as np
 
 from sunspin.base.tables import TextTable
 from sunspin.base.untrusted import plain_number
-from sunspin.telemetry.layout import collect_metrics
+from sunspin.telemetry.layout import pivot_series
 from sunspin.telemetry.times import parse_utc
 
 PLUS = ("+", "p", "pos", "plus", "positive")
@@ -144,13 +144,13 @@ class _Group(NamedTuple):
 def suggest_section(table: TextTable, panels: dict[str, str] | None = None) -> Suggestion | None:
     """Return a section that would read a table; None without a column of times or of two faces.
 
-    The table may have one value a row (:func:`sunspin.telemetry.layout.collect_metrics`). `panels`: names of a vehicle's panels by
+    The table may have one value a row (:func:`sunspin.telemetry.layout.pivot_series`). `panels`: names of a vehicle's panels by
     the face on which they are; default: the face itself.
     """
     if (time := _time_column(table)) is None:
         return None
     time_column, time_lines = time
-    table = collect_metrics(table, time_column, set()).table
+    table = pivot_series(table, time_column, set()).table
     if (group := _best_group(table)) is None:
         return None
     lines = [

@@ -289,7 +289,10 @@ def wrong_units(
 
 
 def _check_sun_sensor(sensor: SunSensor, x_angle: np.ndarray) -> list[WrongUnit]:
-    """Return the wrong unit of a Sun sensor, if its angles `x_angle` (n, rad) are nearly always the steepest that it measures."""
+    """Return the wrong unit of a Sun sensor, if nearly all of its angles `x_angle` (n), rad, are at the limit STEEPEST_RAD.
+
+    Readings are limited to that angle (`telemetry.sensors`), so degrees that are read as radians nearly all end there.
+    """
     is_steep = np.abs(x_angle[np.isfinite(x_angle)]) >= STEEPEST_RAD
     if len(is_steep) < STEEP_SAMPLES or is_steep.mean() <= STEEP_SHARE:
         return []

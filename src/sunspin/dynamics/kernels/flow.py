@@ -297,15 +297,16 @@ SIXTEENTH_ROOT_ABOVE = 11
 
 @compiled
 def write_share(lanes, order):
-    """Write into `share[:L]` the length of the next step, as a share x of the last one, by the error allowed per second.
+    """Write into `share[:L]` the length x of the coming step as a share of DT, so that its error is what is allowed.
 
-    The error of a step is estimated by the last coefficient, |c_N| x^N, and compared with allowed x dt. Only H and r are looked at:
-    errors of other vectors, which rotate with the same omega, are as large. x is computed after the coefficients and before the
-    series is evaluated, and may exceed one, so no step is repeated. `motions.GROWTH` limits it.
+    DT is the length that was planned at the step before, by which the coefficients c are scaled. The error of the step is estimated
+    by its last term, |c_N| x^N, and may be ALLOWED x DT. Only H and r are looked at: errors of other vectors, which rotate with the
+    same omega, are as large. The coefficients are known here and the series is not evaluated yet, so a step that would be too long
+    is evaluated at x < 1, and none is repeated. x may exceed one; `motions.GROWTH` limits it.
 
-    The 8th or the 16th root is taken, not the (N - 1)th: each step begins from the length of the last one, and in a few steps the
-    length settles at x = 1, where the last coefficient is what is allowed. The coefficient before the last counts by a quarter, a
-    factor found by trial: the last alone may vanish by chance.
+    Exactly, x is the (N - 1)th root of the ratio ALLOWED DT / |c_N|. The 8th or the 16th root, taken by square roots alone, settles
+    at the same length: each step begins from the length of the last one, and in a few steps the ratio, and so x, is 1. The
+    coefficient before the last counts by a quarter, a factor found by trial: the last alone may vanish by chance.
     """
     c, p, share = lanes.c, lanes.p, lanes.share
     n, m = order, order - 1
@@ -317,6 +318,7 @@ def write_share(lanes, order):
         before = max(abs(c[m, H + l]), abs(c[m, H + L + l]), abs(c[m, H + 2 * L + l])) * per_H
         last = max(last, abs(c[n, SUN + l]), abs(c[n, SUN + L + l]), abs(c[n, SUN + 2 * L + l]))
         before = max(before, abs(c[m, SUN + l]), abs(c[m, SUN + L + l]), abs(c[m, SUN + 2 * L + l]))
+        # allowed over estimated error, of a step of the length DT
         ratio = p[ALLOWED + l] * abs(p[DT + l]) / (max(last, 0.25 * before) + tiny)
         share[l] = math.sqrt(math.sqrt(math.sqrt(ratio)))
     if order > SIXTEENTH_ROOT_ABOVE:

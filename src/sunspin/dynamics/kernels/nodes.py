@@ -38,7 +38,10 @@ WAYS = 3
 
 @compiled
 def write_state_at(lanes, nodes, n_wheels, order, part):
-    """Write H, r and h of all lanes at the part `part` of their steps into `nodes.state`: the series, four orders in a pass."""
+    """Write H, r and h of all lanes, at the share `part` of the steps that they take, into `nodes.state`.
+
+    The Taylor series is summed by Horner's rule, four orders in a pass.
+    """
     c, share, state = lanes.c, lanes.share, nodes.state
     top = 4 * ((order + 3) // 4)
     for j in range((6 + n_wheels) * L):
@@ -55,7 +58,7 @@ def write_state_at(lanes, nodes, n_wheels, order, part):
 def write_half_angle(lanes, nodes, seconds_before):
     """Write into `nodes.angle` half the angle of the common rotation about H, within +-pi/2.
 
-    It is that at `seconds_before` (L) before the time of `lanes.since`; its rate is SPIN |H|.
+    The angle is that at the time `seconds_before` (L), s, before that of `lanes.since`; its rate is SPIN |H|.
     """
     p, angle = lanes.p, nodes.angle
     for l in range(L):
@@ -137,13 +140,18 @@ def begin(lanes, nodes, n_wheels):
 
 @compiled
 def write_inner_nodes(lanes, nodes, n_wheels, order):
-    """Write the nodes at the thirds of the step, before the step is taken."""
-    before, at = np.empty(L), nodes.at
+    """Write nodes 1 and 2, at one and two thirds of the step that is about to be taken, and the seconds between its nodes.
+
+    It runs before `flow.move`: the coefficients and `lanes.since` are those at the start of the step. Node 0 is there already, and
+    `deposit_step` writes node 3.
+    """
+    seconds_before, at = np.empty(L), nodes.at
     for k in range(1, WAYS):
         write_state_at(lanes, nodes, n_wheels, order, k / WAYS)
         for l in range(L):
-            before[l] = -(k / WAYS) * lanes.share[l] * lanes.p[DT + l]
-        write_half_angle(lanes, nodes, before)
+            # negative: the node is later than `lanes.since`
+            seconds_before[l] = -(k / WAYS) * lanes.share[l] * lanes.p[DT + l]
+        write_half_angle(lanes, nodes, seconds_before)
         write_node(lanes, nodes, n_wheels, at[NODE + k * PER_NODE : NODE + (k + 1) * PER_NODE])
     for l in range(L):
         at[SECONDS + l] = lanes.share[l] * lanes.p[DT + l] / WAYS
@@ -151,7 +159,7 @@ def write_inner_nodes(lanes, nodes, n_wheels, order):
 
 @compiled
 def deposit_step(lanes, nodes, n_wheels):
-    """Write the node at the end of the step, which has been taken, and add its ways to the histograms."""
+    """Write node 3, at the end of the step, which has been taken, and add the three ways to the histograms."""
     at = nodes.at
     for j in range((6 + n_wheels) * L):
         nodes.state[j] = lanes.c[0, j]
@@ -161,5 +169,6 @@ def deposit_step(lanes, nodes, n_wheels):
     add_way(nodes, 0)
     add_way(nodes, 1)
     add_way(nodes, 2)
-    for l in range(PER_NODE):
-        at[NODE + l] = at[NODE + WAYS * PER_NODE + l]
+    # the last node of this step is the first of the next
+    for j in range(PER_NODE):
+        at[NODE + j] = at[NODE + WAYS * PER_NODE + j]

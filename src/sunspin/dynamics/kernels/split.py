@@ -410,10 +410,14 @@ def set_mode(lanes, motions, frames, l, row, body):
 
 @compiled
 def load(lanes, motions, frames, l, row):
-    """Load motion `row` in its initial state into lane l, with a step of no length."""
+    """Load motion `row` in its initial state into lane l, with a step of no length; `frames` as of `set_mode`.
+
+    The caller sets the true step after it has written the first node.
+    """
     w, u = lanes.w, lanes.u
     n_wheels, inertia, body = len(motions.axes), motions.inertia[0], np.empty(6)
     omega, speeds = motions.omega_B[row], motions.speeds[row]
+    # `body`: H = I omega + sum J W u, then r, body axes
     for k in range(3):
         body[k] = inertia[k, 0] * omega[0] + inertia[k, 1] * omega[1] + inertia[k, 2] * omega[2]
         body[3 + k] = motions.sun_B[row, k]
@@ -425,7 +429,8 @@ def load(lanes, motions, frames, l, row):
             body[k] += axial_inertia * speeds[i] * axis[k]
         along = axis[0] * omega[0] + axis[1] * omega[1] + axis[2] * omega[2]
         sign = 1.0 if speeds[i] > 0.0 else -1.0 if speeds[i] < 0.0 else 0.0
-        free = not driven and not (sign == 0.0 and dry > 0.0)  # at rest with dry friction: stuck
+        # a wheel is driven, stuck (at rest with dry friction) or free
+        free = not driven and not (sign == 0.0 and dry > 0.0)
         u[o + AXIAL] = axial_inertia * (speeds[i] + along)
         u[o + LOW], u[o + SPEED] = 0.0, speeds[i]
         u[o + J], u[o + VISCOUS] = axial_inertia, motions.wheels[0, i, 2]
@@ -433,8 +438,9 @@ def load(lanes, motions, frames, l, row):
         u[o + COULOMB] = sign * dry if free else 0.0
         u[o + SIGN] = sign if free and dry > 0.0 else 0.0
         u[o + INVERSE_DRY] = 1.0 / dry if dry > 0.0 and not driven else 0.0
+    # SLOWEST is a minimum over the run, the others are maxima
     w[SLOWEST + l], w[FASTEST + l], w[OVERLOAD + l] = 1e30, 0.0, 0.0
-    set_mode(lanes, motions, frames, l, row, body)
+    set_mode(lanes, motions, frames, l, row, body)  # reads FREE of the wheels
     set_step(lanes, n_wheels, l, 0.0)
 
 
@@ -442,7 +448,7 @@ def load(lanes, motions, frames, l, row):
 def end_step(lanes, motions, frames, at, l, row):
     """Test in lane l whether a turning wheel has come to rest in the step; return whether the step is valid.
 
-    If a wheel is past rest the step is undone, and a shorter one is set. If it is at rest, it sticks from now on.
+    If a wheel is past rest, the step is undone, and a shorter one is set. If a wheel is at rest, it sticks from now on.
     """
     w, u = lanes.w, lanes.u
     n_wheels = len(motions.axes)
@@ -487,7 +493,7 @@ def end_step(lanes, motions, frames, at, l, row):
 
 # ---- the run ----------------------------------------------------------------------------------------
 @compiled
-def is_near_rest(u, n_wheels):
+def any_wheel_near_rest(u, n_wheels):
     """Return whether in any lane a wheel that dry friction will stop is at rest or past it."""
     near = False
     for i in range(n_wheels):
@@ -500,28 +506,35 @@ def is_near_rest(u, n_wheels):
 
 @compiled
 def run_block(first, task, lanes, motions, nodes, answer):
-    """Compute L motions of the queue, from number `first` on, and write their histograms into `answer`."""
+    """Compute L motions of the queue, from number `first` on: write their histograms into `answer.hist`, and `answer.again`.
+
+    Each lane takes steps of its own length until its run has ended, and then steps of no length until all lanes have ended. Lanes
+    beyond the end of the queue compute its last motion once more; their results are dropped.
+    """
     w, u, at, queue, frames = lanes.w, lanes.u, nodes.at, task.queue, task.frames
     n_wheels, last = len(motions.axes), len(queue) - 1
     for l in range(L):
         row = queue[min(first + l, last)]  # lanes beyond the queue compute the last motion too
         load(lanes, motions, frames, l, row)
         lanes.step[l], lanes.left[l] = task.duration / task.steps[row], task.duration
+    # Node 0, where the first way begins, is the end of a step of no length, which `load` has set: `begin_step` writes the w that
+    # the node needs, `write_node` writes it as node 2.
     begin_step(w, u, n_wheels)
-    write_node(lanes, at, n_wheels, 2, True)  # of steps without length: the node at the start
+    write_node(lanes, at, n_wheels, 2, True)
     for j in range(PER_NODE):
         at[NODE + j] = at[NODE + 2 * PER_NODE + j]
-    begin_way(nodes)  # from the first node
+    begin_way(nodes)
     for l in range(L):
         set_step(lanes, n_wheels, l, lanes.step[l])
     alive = True
     while alive:
         take_step(lanes, at, n_wheels)
         for l in range(L):
-            at[SECONDS + l] = F(1 / WAYS) * w[DT + l]
-        if is_near_rest(u, n_wheels):
+            at[SECONDS + l] = F(1 / WAYS) * w[DT + l]  # of each way
+        # the time left; a step in which a wheel has passed rest is undone and takes no time
+        if any_wheel_near_rest(u, n_wheels):
             for l in range(L):
-                dt = w[DT + l]
+                dt = w[DT + l]  # `end_step` may set another step
                 if end_step(lanes, motions, frames, at, l, queue[min(first + l, last)]):
                     lanes.left[l] -= dt
         else:
@@ -530,11 +543,13 @@ def run_block(first, task, lanes, motions, nodes, answer):
         # no loop: its indices would not be constants (rule 1 of `flow`), six times slower
         add_way(nodes, 0)
         add_way(nodes, 1)
+        # the last node of this step is the first of the next
         for j in range(PER_NODE):
             at[NODE + j] = at[NODE + 2 * PER_NODE + j]
         alive = False
         for l in range(L):
-            # the last step is shorter
+            # A step that would pass the end of the run is shortened to what is left. If this is only rounding, the run has
+            # ended, and the step gets no length.
             if lanes.left[l] < w[DT + l] * (1.0 - LAST_SHARE) and w[DT + l] != 0.0:
                 if lanes.left[l] < LAST_SHARE * lanes.step[l]:
                     lanes.left[l] = 0.0
@@ -545,9 +560,11 @@ def run_block(first, task, lanes, motions, nodes, answer):
         if first + l <= last:
             row = queue[first + l]
             take_out(nodes, l, answer.hist[row])
+            # even: never near an unstable spin (UNEVEN), or dH/dt is always zero
             even = w[SLOWEST + l] > F(UNEVEN) * w[FASTEST + l] or w[FASTEST + l] == F(0)
+            # "not <", so that a NaN is computed again too
             answer.again[row] = not even or not w[OVERLOAD + l] < F(NEAR_LIMIT)
-    nodes.hist[:] = F(0)  # that of a lane beyond the queue has not been taken out
+    nodes.hist[:] = F(0)  # of lanes beyond the queue, which are not taken out
 
 
 def new_lanes() -> SplitLanes:

@@ -363,7 +363,7 @@ def add_sample(panels, m, limits, work):
         misfit += min(square, limits.cap)
         weight = precision / (1.0 + square / SOFT_SIGMAS**2)
         if panels.throttled:
-            # the slope of the power times the factor, which falls itself
+            # slope of factor times power; where powers rise, the factor falls by the share `factor_fall`
             for i in range(COORDINATES):
                 fall = work.power[j] * work.factor_fall[i]
                 work.power_slope[j, i] = factor * (work.power_slope[j, i] - fall)
@@ -377,9 +377,10 @@ def add_sample(panels, m, limits, work):
 
 @compiled
 def solve_damped(normal, gradient, move):
-    """Write into `move` (5) the solution of damped normal equations, with the gradient (5) of half the sum of squares.
+    """Write into `move` (5) the solution of the damped normal equations, (N + damping) move = -gradient.
 
-    Only the lower half of `normal` (5, 5) is read. Cholesky's factor replaces it.
+    `normal` (5, 5) holds N = J^T W J; only its lower half is read, and Cholesky's factor replaces it. `gradient` (5): that of half
+    the weighted sum of squares. The damping is on the diagonal: DAMPING times that of N, plus LEAST_DAMPING.
     """
     for i in range(COORDINATES):
         normal[i, i] += DAMPING * normal[i, i] + LEAST_DAMPING

@@ -51,6 +51,7 @@ def one_each_ridge(motions: LanderMotions, s: ShootingSettings) -> LanderMotions
         off = np.abs(motions.omega[remaining] - motions.omega[best])
         # few of thousands are near enough in rate that their distance has to be computed
         near = np.all(off <= np.maximum(widest[remaining], widest[best]), axis=1)
+        # the best itself, even if its curvature is no number: it must leave `remaining`
         near[0] = True
         candidates = np.flatnonzero(near)
         on_ridge = _squared_distances(motions, best, remaining[candidates]) < s.ridge_chi2
@@ -86,13 +87,16 @@ def distinct_fits(fit: ModelFit, s: ShootingSettings) -> ModelFit:
 
 
 def _squared_distances(motions: LanderMotions, one: int, others: np.ndarray) -> np.ndarray:
-    """Return the squared distances (k) of the motions `others` (k) from the motion `one`, by index, in sigmas.
+    """Return the squared distances (k), in sigmas, between the motion with index `one` and those with the indices `others` (k).
 
-    A distance is measured with the curvature of either motion (d . C d), and the smaller result counts.
+    The squared distance of a difference d in coordinates is d . C d, where C is the curvature of the cost at a motion. It is
+    computed with the C of either motion, and the smaller result counts: two motions are near if one of them is uncertain by as much
+    as they differ.
     """
-    off = motions.bare.take(others).from_centre(motions.bare.take([one]))
+    difference = motions.bare.take(others).from_centre(motions.bare.take([one]))  # (k, D)
+    # first the curvature (D, D) of the one for all, then (k, D, D) of each of the others
     by_curvature = (
-        np.sum((off[:, None, :] @ curvature)[:, 0] * off, axis=1)
+        np.sum((difference[:, None, :] @ curvature)[:, 0] * difference, axis=1)
         for curvature in (motions.curvature[one], motions.curvature[others])
     )
     return np.minimum(*by_curvature)

@@ -370,21 +370,24 @@ class LanderModel:
 
     def first_speed(self, motions: LanderMotions, error_rad: float) -> np.ndarray:
         """Return the angular speeds (K) of motions at the first sample, rad/s; infinite for those that cannot be computed."""
-        if not (self.after_s and len(motions)):
+        if not (self.after_s and len(motions)):  # the reference is the first sample, or no motions
             return np.linalg.norm(motions.omega, axis=1)
         back = self.run(self.rows(motions), np.array([-self.after_s]), error_rad)
         speed = np.linalg.norm(back.omega_B[:, 0], axis=1)
         return np.where(np.isfinite(speed), speed, np.inf)
 
     def log_likelihood(self, states: SunStates, u: np.ndarray) -> np.ndarray:
-        """Return the log likelihood (K) of all observations for states at the samples and unknowns u (K, m).
+        """Return the log likelihood (K) of all readings for states at the samples and unknowns u (K, m).
 
-        A constant of the observations other than panels is left out. It is minus infinity for motions that could not be computed.
+        The normalising constants of the observations other than panels are left out: all motions share them. The result is minus
+        infinity for motions that could not be computed.
         """
         with np.errstate(invalid="ignore"):
             total = self.panels.log_density(states, u[:, self.of_panels])
+            no_unknowns = u[:, :0]
             for term in self.given:
-                for residual in term.residuals(states, u[:, :0]):  # these have no unknowns
-                    total = total - residual.law(residual.value)[0].sum(axis=1)
+                for residual in term.residuals(states, no_unknowns):
+                    cost, _ = residual.law(residual.value)  # of each sample, and its weight
+                    total = total - cost.sum(axis=1)
         computed = np.isfinite(states.sun_B).all(axis=(1, 2)) & np.isfinite(total)
         return np.where(computed, total, -np.inf)

@@ -132,7 +132,11 @@ def _stretch(
     end_s: float | None,
     phase: str | None,
 ) -> tuple[np.ndarray, list[str]]:
-    """Return which samples at `times` (n; s) lie in the requested stretch, and remarks in words."""
+    """Return which samples at `times` (n), s, lie in the requested stretch, as a mask (n), and remarks in words.
+
+    If neither phase nor limits are given and the file has several phases, only FREE_PHASE is used. Raises `InputError` if there is
+    no such phase.
+    """
     inside, remarks = np.ones(len(times), dtype=bool), []
     phases = np.array([], dtype=str)
     if "phase" in telemetry.coords:

@@ -277,8 +277,8 @@ class Comparison:
     def other_node(self, orbit: Orbit, own: OffsetFits) -> tuple[float, float]:
         """Return the rotation of the node (rad) with which the orbit fits best, and by which factor residuals are smaller then.
 
-        They are (0, 1) if no other node fits better than the fits `own` of the orbit. N residuals that are all smaller by a factor
-        lower the cost by N times its log.
+        They are (0, 1) if no other node fits better than the fits `own` of the orbit, or fewer than FEWEST samples show the field.
+        N residuals that are all smaller by a factor lower the cost by N times its log.
         """
         count = self.readings.has_field.sum()
         if count < FEWEST:
@@ -289,18 +289,21 @@ class Comparison:
         return (float(nodes[costs.argmin()]), float(np.exp(gain))) if gain > 0 else (0.0, 1.0)
 
     def clock_behind_s(self, orbit: Orbit, lowest: float) -> float:
-        """Return by how many whole hours, in s, a clock behind UTC explains the readings with these elements; 0 if by none.
+        """Return the error of the telemetry's clock, in s behind UTC, with which these elements fit clearly; 0 if with none.
 
-        Such a clock must fit clearly better than `lowest`, the lowest cost of the orbit and all copies.
+        The whole hours of `settings.hours`, those of time zones, are tried; negative ones are a clock ahead of UTC. With the best,
+        the orbit must cost less than `lowest`, by more than `settings.clearly`. `lowest`: the lowest cost of the orbit and all its
+        copies, by the clock as it is.
         """
         behind_s = 3600.0 * np.array(self.settings.hours)
         shifted = [replace(orbit, clock_s=orbit.clock_s + clock_s) for clock_s in behind_s]
+        # with `lowest` as `reach`, a clock that is far from fitting is fitted at every third offset only
         costs = [self.fit(self.predicted(other), lowest).cost.min() for other in shifted]
         is_clear = min(costs) < lowest - self.settings.clearly
         return float(behind_s[np.argmin(costs)]) if is_clear else 0.0
 
     def cost_of_opposite_field(self, at: Predicted) -> float:
-        """Return the cost of readings with the field reversed, at the one offset of predictions, without the offset's prior."""
+        """Return the cost of the readings with the field reversed, without the prior of the offset; `at`: predictions at one."""
         opposite = self.readings._replace(field=-self.readings.field)
         return float(fit_at_offsets(opposite, at, np.zeros(1)).cost[0])
 

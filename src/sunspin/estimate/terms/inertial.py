@@ -105,13 +105,16 @@ class GyroRates(Term):
         yield Residual(value, by_rate=by_rate, by_u=by_u)
 
     def for_search(self) -> list[Self]:
-        """Return the gyro without unknowns; the rms of their errors is added to the noise.
+        """Return the gyro without unknowns, as a list of one; the errors of zero offset and scale count as noise instead.
 
-        A zero offset whose sigma the file does not state is taken as zero: with an error of 3 deg/s, the largest it may have, the
-        gyro would not help the search.
+        The rms of what these errors together add to a component of the rate, over samples and axes, is added to `sigma` in squares.
+        A zero offset whose sigma the file does not state counts as exactly zero. With its largest possible sigma, 3 deg/s
+        (`GYRO_ZEROS`), a gyro would hardly narrow the rates to be searched.
         """
-        by_u = replace(self, zero_sigma=self.zero_sigma * self.zero_stated)._reading_by_u
+        zero_sigma = self.zero_sigma if self.zero_stated else np.zeros(3)
+        by_u = replace(self, zero_sigma=zero_sigma)._reading_by_u  # (n, 3, m) rad/s
         by_u = by_u[self.present()]  # the others are zero
+        # mean over the samples and the three axes of the sum over the unknowns
         rms_error = np.sqrt((by_u**2).sum(axis=(1, 2)).mean() / 3) if by_u.size else 0.0
         sigma = float(np.hypot(self.sigma, rms_error))
         return [replace(self, sigma=sigma, zero_sigma=np.zeros(3), scale_sigma=0.0)]
@@ -187,7 +190,7 @@ class RateMagnitudes(Term):
         yield Residual(value, by_rate=by_rate, by_u=np.broadcast_to(by_scale, (*value.shape, 1)))
 
     def for_search(self) -> list[Self]:
-        """Return the magnitudes without an unknown scale; the rms of its error is added to the noise."""
+        """Return the magnitudes without an unknown scale; the rms of its error over the readings is added to `sigma` in squares."""
         rms_error = self.scale_sigma * np.sqrt(np.nanmean(self.size**2)) if self.unknowns() else 0.0
         return [replace(self, sigma=float(np.hypot(self.sigma, rms_error)), scale_sigma=0.0)]
 

@@ -255,10 +255,11 @@ class Panels(Term):
         return np.swapaxes(attitude[..., :2], -1, -2)
 
     def first_guess(self, states: States, about_sun: bool) -> tuple[np.ndarray, np.ndarray]:
-        """Return attitudes (K, n, 3, 3) and unknowns (K, m) from which a fit begins, with a first guess of the Earth's light.
+        """Return attitudes (K, n, 3, 3) and unknowns (K, m) from which a fit of the motions `states` of a search begins.
 
-        A search takes the sum of Sun and Earth's light for the Sun. Of several guesses of the Earth's light the one that fits best
-        counts (`EarthLight.first_guess`). `about_sun` as in `Term.first_guess`.
+        A search does not know the Earth's light, so its direction to the Sun is that of the vector sum of sunlight and Earth's
+        light. Several values of the Earth's light are tried for each motion, each with the attitudes that it corrects; the one of
+        lowest cost is returned (`EarthLight.first_guess`). All other unknowns are zero. `about_sun`: as in `Term.first_guess`.
         """
         attitude, u = super().first_guess(states, about_sun)
         if self.earth is None:
@@ -266,10 +267,11 @@ class Panels(Term):
         earth_slice = self.earth_slice
 
         def cost(u_earth: np.ndarray, trial_attitude: np.ndarray) -> np.ndarray:
-            """Return the cost (K) of the Earth's light `u_earth` (K, b + p) at attitudes (K, n, 3, 3)."""
+            """Return the cost (K) of Earth's light `u_earth` (K, b + p; see `EarthLight`) at attitudes (K, n, 3, 3)."""
             trial_u = u.copy()
             trial_u[:, earth_slice] = u_earth
             (residual,) = self.residuals(States(trial_attitude, states.omega), trial_u)
+            # `law` returns cost and weight of each sample
             return residual.law(residual.value)[0].sum(axis=1)
 
         attitude, u[:, earth_slice] = self.earth.first_guess(attitude, cost, about_sun=about_sun)

@@ -214,7 +214,8 @@ class PanelPowers(Term):
     def _differences(self, power: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return predicted less read powers (K, n, p) in stated sigmas, and the derivatives (K, n, p, 1) by the predicted `power`.
 
-        For a dark reading the difference is the predicted power less the threshold, or zero below the threshold.
+        A dark reading is an upper bound: its difference is what the predicted power has above the threshold, or zero. Differences
+        and derivatives of readings that do not count are zero.
         """
         difference = np.where(self.lit, power - self.power, np.maximum(power - self.threshold, 0.0))
         varies = self.used & (self.lit | (power > self.threshold))
@@ -224,9 +225,9 @@ class PanelPowers(Term):
     def best_times(self, states: States, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the best time error (K, n), s, of each sample, positive if taken late, and the curvature (K, n), 1/s2, there.
 
-        The curvature is that of the cost of the readings, without the prior. Gauss-Newton steps start from no error twice: with
-        outliers down-weighted at once, and with all readings at full weight in the first step, as a wrong time also makes readings
-        look like outliers. The better result is returned.
+        The curvature is that of the cost of the readings, without the prior. Gauss-Newton steps are taken twice, each time from no
+        error: once outliers count less from the first step on; once all readings have full weight in the first step, as a wrong
+        time also makes readings look like outliers. The better result is returned.
         """
         no_error = np.zeros(states.sun_B.shape[:-1])
         if not self.time_s:

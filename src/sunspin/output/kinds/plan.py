@@ -51,20 +51,26 @@ def plan_summary(data: Any) -> Summary:
 
 
 def _cells(data: Any) -> list[dict[str, Any]]:
-    """Return interval, class of speeds, counts, error and commonest reason of each cell that has passes."""
+    """Return the cells of a plan that have passes, each as a row of the table; `data`: Dataset of `plan`.
+
+    A cell is one interval between samples (s) and one class of speeds (deg/s). `passes`, `decided` and `decided_wrong` count
+    passes. `sigma_deg_s`: median sigma of the rightly decided passes, None if there are none; `aliases`: mean number of further
+    solutions of a pass; `why_not_decided`: the commonest reason, empty if all are decided.
+    """
+    # upper limit of each class; the lower one is that of the class before
     high = np.degrees(data["class_high"].values)
     cells = []
     for k, every in enumerate(data["every"].values.tolist()):
-        for part in range(data.sizes["speed_class"]):
-            here = data.isel(every=k, speed_class=part)
+        for speed_class in range(data.sizes["speed_class"]):
+            here = data.isel(every=k, speed_class=speed_class)
             if not int(here["passes"]):
                 continue
             sigma = float(np.degrees(here["rate_sigma"]))
             cells.append(
                 {
                     "every_s": every,
-                    "speed_from_deg_s": float(high[part - 1]) if part else 0.0,
-                    "speed_to_deg_s": float(high[part]),
+                    "speed_from_deg_s": float(high[speed_class - 1]) if speed_class else 0.0,
+                    "speed_to_deg_s": float(high[speed_class]),
                     **{name: int(here[name]) for name in ("passes", "decided", "decided_wrong")},
                     "sigma_deg_s": sigma if np.isfinite(sigma) else None,
                     "aliases": float(here["aliases"]),
@@ -97,20 +103,21 @@ def plan_figure(data: Any) -> Any:
     every, classes = data["every"].values, data.sizes["speed_class"]
     high = np.degrees(data["class_high"].values)
     width = 0.8 / classes
-    for part in range(classes):
-        here = data.isel(speed_class=part)
+    for speed_class in range(classes):
+        here = data.isel(speed_class=speed_class)
         passes, decided = here["passes"].values, here["decided"].values
         share, low, top = _share(decided, passes)
-        place = np.arange(len(every)) + (part - (classes - 1) / 2) * width
-        label = f"{high[part - 1] if part else 0:.2g} to {high[part]:.2g} deg/s"
-        share_axes.bar(place, share, width, color=COLOURS[part], label=label)
+        place = np.arange(len(every)) + (speed_class - (classes - 1) / 2) * width
+        low_deg_s = high[speed_class - 1] if speed_class else 0
+        label = f"{low_deg_s:.2g} to {high[speed_class]:.2g} deg/s"
+        share_axes.bar(place, share, width, color=COLOURS[speed_class], label=label)
         wrong = here["decided_wrong"].values / np.maximum(passes, 1)
         share_axes.bar(place, wrong, width, color="none", edgecolor=BLACK, hatch="////", lw=0)
         share_axes.errorbar(
             place, share, [share - low, top - share], fmt="none", ecolor=BLACK, lw=1
         )
         sigma = np.degrees(here["rate_sigma"].values)
-        sigma_axes.plot(every, sigma, "o-", color=COLOURS[part])
+        sigma_axes.plot(every, sigma, "o-", color=COLOURS[speed_class])
     share_axes.bar(
         [0], [0], color="none", hatch="////", edgecolor=BLACK, lw=0, label="decided and wrong"
     )
@@ -128,7 +135,10 @@ def plan_figure(data: Any) -> Any:
 
 
 def _share(part: np.ndarray, of: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return a share and its one-sigma interval (Wilson), which stays between 0 and 1; of no passes a share of 0 without error."""
+    """Return the share of `part` in `of` passes, and the ends of its one-sigma interval (Wilson), which lie between 0 and 1.
+
+    All are 0 where there are no passes.
+    """
     empty, of = of == 0, np.maximum(of, 1)
     share = part / of
     middle = (share + 0.5 / of) / (1 + 1 / of)

@@ -119,7 +119,7 @@ def _views(results: Results) -> dict[str, list[Any]]:
     from sunspin.output.report.views import rate_space, read_motions, sun_on_sphere
 
     motions = results.attempt("the motions", lambda: read_motions(results)) or []
-    # None for a section that failed, and for the Sun's path without data
+    # None: a section that failed (`Results.attempt`). A list that holds None: the Sun's path, without data.
     attempts = {
         "Motion": results.attempt("the motion", lambda: list(body_in_motion(results, motions))),
         "Sun": results.attempt("the Sun's path", lambda: [sun_on_sphere(results, motions)]),
