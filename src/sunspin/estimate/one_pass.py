@@ -240,12 +240,11 @@ def search_motions(
     slowest: float = 0.0,
     inertia_held: bool = True,
 ) -> list[Track]:
-    """Return the motions that remain after a search under unknown torques of the strength `noise` (rad/s^1.5), in the axes N of
-    `nominal`.
+    """Return the motions that a search under unknown torques of the strength `noise` (rad/s^1.5) leaves, in axes N of `nominal`.
 
     There is a track for each model that is searched: several if readings may mean several things, as those of panels whose full
-    scale is in doubt (`Model.for_search`). A model without a motion has no track. `slowest` (rad/s): slower starts are left out, as a
-    search before this one had them. A single pair of samples to start from is then enough, and there may be no track at all. If
+    scale is in doubt (`Model.for_search`). A model without a motion has no track. `slowest` (rad/s): slower starts are left out, as
+    a search before this one had them. A single pair of samples to start from is then enough, and there may be no track at all. If
     `slowest` is zero that raises InputError. `inertia_held`: the inertia is fixed in the search. If not, its errors are unknowns,
     and the search takes longer.
     """
