@@ -8,6 +8,7 @@ import xarray as xr
 from scipy.stats import chi, norm
 
 from sunspin.estimate.calibrate import rate_known
+from sunspin.estimate.rates_dataset import OTHERS_DO_NOT_FIT, with_doubted_passes
 from sunspin.estimate.verdict import (
     AtOnce,
     Misfit,
@@ -179,3 +180,22 @@ def test_a_pass_with_an_upper_limit_determines_the_gyro_zero():
     flags |= {"constrained_speed": ("pass_id", [False, True])}
     flags |= {"columns_checked": ("pass_id", ["as_stated", "as_stated"])}
     assert rate_known(xr.Dataset(flags)).tolist() == [True, False]
+
+
+@pytest.mark.parametrize(
+    ("fits", "kept"),
+    [
+        ([True, False], True),
+        ([True, True, False], True),
+        ([True, False, False], False),
+        ([True, True, False, False], False),
+    ],
+)
+def test_no_pass_is_decided_if_half_of_three_or_more_do_not_fit(fits, kept):
+    """What keeps a pass from fitting acts in all: with a magnetometer along other axes some passes fit by chance."""
+    why = ["" if fit else "POOR FIT (Sun)" for fit in fits]
+    columns = {"fits": fits, "decided": fits, "why_not_decided": why}
+    doubted = with_doubted_passes(xr.Dataset({k: ("pass_id", v) for k, v in columns.items()}))
+    assert doubted["decided"].values.tolist() == [fit and kept for fit in fits]
+    assert doubted["why_not_decided"].values[-1] == "POOR FIT (Sun)"
+    assert doubted["why_not_decided"].values[0] == ("" if kept else OTHERS_DO_NOT_FIT)

@@ -58,6 +58,7 @@ from sunspin.estimate.verdict import (
     COLUMNS_STATED,
     COLUMNS_UNCHECKED,
     alike_motions,
+    join_reasons,
 )
 from sunspin.estimate.wheels import Reversed, momentum_of_each, name_of_wheels
 from sunspin.telemetry.assess import Assessment, assess
@@ -453,11 +454,6 @@ def _undecided(result: xr.Dataset, reason: str, checked: str = COLUMNS_DOUBTED) 
         columns_checked=("pass_id", np.full(count, checked)),
         why_not_decided=("pass_id", why),
     )
-
-
-def join_reasons(*reasons: str) -> str:
-    """Return reasons as one text, without empty ones."""
-    return "; ".join(str(reason) for reason in reasons if str(reason))
 
 
 def clock_time(epoch_utc: str | None, t_s: float) -> str:

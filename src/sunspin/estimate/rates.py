@@ -42,6 +42,7 @@ from sunspin.estimate.rates_dataset import (
     latency_attributes,
     motion_dataset,
     verdict_variables,
+    with_doubted_passes,
     with_doubted_repeats,
     with_space_axes,
 )
@@ -218,7 +219,8 @@ def rates(
     epoch = assessment.telemetry.attrs.get("epoch_utc")
     result = result.assign(verdict_variables(passes, solved, left_open, nominal.rate_sigma, epoch))
     result = result.assign(without_periods(solved))
-    result = with_space_axes(with_doubted_repeats(result, assessment), local, solved, readings)
+    result = with_doubted_passes(with_doubted_repeats(result, assessment))
+    result = with_space_axes(result, local, solved, readings)
     result = result.assign_attrs(
         latency_attributes(vehicle, solved)
         | counts

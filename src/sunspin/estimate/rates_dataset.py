@@ -31,6 +31,7 @@ from sunspin.estimate.verdict import (
     AtOnce,
     PassRow,
     answers,
+    join_reasons,
     misfit,
     padded,
     passes_table,
@@ -54,6 +55,12 @@ ANY_DIRECTION_RAD = float(np.sqrt((np.pi**2 - 4) / 2))
 
 OF_SCATTER = "the vehicle file states none: the scatter of readings in full Sun and the light on panels that face away"
 """Source of the noise of panel readings if none is stated."""
+
+LEAST_PASSES, MOST_UNFITTED = 3, 0.5
+"""Passes of a file, and the share of them that do not fit, from which on no pass of the file is decided."""
+
+OTHERS_DO_NOT_FIT = "half of the passes do not fit"
+"""Why a pass is then not decided although it fits."""
 
 LATENCY = "late_s"
 """Name of the estimated latency of sensors other than the Sun's."""
@@ -340,7 +347,24 @@ def with_doubted_repeats(result: xr.Dataset, assessment: Assessment) -> xr.Datas
     decided, why = result["decided"].values.copy(), result["why_not_decided"].values.tolist()
     for k in np.unique(passes_with_repeats):
         decided[k] = False
-        why[k] = "; ".join(filter(None, (why[k], repeats.doubt)))
+        why[k] = join_reasons(why[k], repeats.doubt)
+    return result.assign(decided=("pass_id", decided), why_not_decided=("pass_id", why))
+
+
+def with_doubted_passes(result: xr.Dataset) -> xr.Dataset:
+    """Return the result with no pass decided if half of the passes or more do not fit, of three or more; those that fit say why.
+
+    What keeps a pass from fitting, such as wrong columns, mostly acts in all passes of a file, and some fit by chance: of a spinner
+    whose magnetometer was read along other axes two of four passes were decided, 40 deg/s off. All 32 passes of skCUBE fit.
+    """
+    unfitted = ~result["fits"].values
+    if len(unfitted) < LEAST_PASSES or unfitted.mean() < MOST_UNFITTED:
+        return result
+    why = [
+        join_reasons(reason, "" if bad else OTHERS_DO_NOT_FIT)
+        for reason, bad in zip(result["why_not_decided"].values, unfitted, strict=True)
+    ]
+    decided = np.zeros(len(unfitted), dtype=bool)
     return result.assign(decided=("pass_id", decided), why_not_decided=("pass_id", why))
 
 

@@ -462,3 +462,8 @@ def alike_motions(vehicle: Vehicle) -> str:
 def count_of_passes(count: int) -> str:
     """Return a number of passes in words, such as 1 pass, 2 passes."""
     return f"{count} pass" + "es" * (count > 1)
+
+
+def join_reasons(*reasons: str) -> str:
+    """Return reasons as one text, without empty ones."""
+    return "; ".join(str(reason) for reason in reasons if str(reason))
