@@ -29,6 +29,8 @@ WARNINGS = {
     "POOR FIT (gyro)": "poor-fit",
     "2 passes: NO SOLUTION FITS. Possible causes": "poor-fit",
     "pass 3: the rate changes as no free body's does (0 and 2 deg/s within 60 s)": "poor-fit",
+    "half of the passes do not fit": "poor-fit",
+    "the gyro contradicts the other readings": "poor-fit",
     "CHECK THE COLUMNS, find out which one is right": "check-the-columns",
     "CHECK THE SIGNS": "check-the-columns",
     "NOT CONSTRAINED (result equals the prior)": "not-constrained",

@@ -23,7 +23,7 @@ ANCHORS = {
     ),
     "poor-fit": (
         *("POOR FIT", "NO SOLUTION FITS", "not explained:", "the other readings fit: look"),
-        "as no free body's does",
+        *("as no free body's does", "contradicts the other readings", "of the passes do not fit"),
     ),
     "check-the-columns": ("CHECK THE COLUMNS", "CHECK THE SIGNS", "columns unchecked"),
     "not-constrained": ("NOT CONSTRAINED", "constrained: ", "not all rate components"),
