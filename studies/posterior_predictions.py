@@ -18,7 +18,7 @@ import xarray as xr
 from sunspin.base.errors import InputError
 from sunspin.cases import Case, load_case
 from sunspin.dynamics.batch import Rows
-from sunspin.estimate.lander.predict import Carried, DrawnMotions, predictions
+from sunspin.estimate.lander.predict import DrawnMotions, PredictedStates, predictions
 from sunspin.landing.predictions import collision_time_s
 from sunspin.output.kinds.predictions import predicted_figure
 from validation.campaign import command, rows_folder, study_parser
@@ -37,7 +37,7 @@ def true_motion(case: Case, times_s: np.ndarray) -> xr.Dataset:
     for t in times_s:
         rows, begin_s = (after, collision) if t > collision else (start, truth["t_s"])
         parts.append(DrawnMotions(case.vehicle, rows, begin_s).at([t]))
-    carried = Carried(*(np.concatenate(part, axis=1) for part in zip(*parts, strict=True)))
+    carried = PredictedStates(*(np.concatenate(part, axis=1) for part in zip(*parts, strict=True)))
     return predictions(DrawnMotions(case.vehicle, start, truth["t_s"]), carried, times_s)
 
 

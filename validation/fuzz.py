@@ -57,7 +57,7 @@ class Fuzz(Suite):
         make_stock(self.stock)
         for change in shorten_work():
             self.stack.enter_context(change)
-        for name in ("carry_bodies", "_turn_evenly"):
+        for name in ("carry_bodies", "_constant_rate_step"):
             limited = self._limit_search(getattr(carry, name))
             self.stack.enter_context(mock.patch.object(carry, name, limited))
         self.commands = command_table()

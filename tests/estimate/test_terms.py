@@ -409,10 +409,17 @@ def test_samples_without_a_gyro_reading_do_not_sharpen_it_in_the_search():
     )
 
 
-@pytest.mark.parametrize("count", [1, 6])
-def test_panels_that_cannot_show_the_light_of_the_earth_have_it_as_an_unknown(count):
-    """A single panel is never opposite to a lit one. Six panels would show it, and here there is hardly any."""
+@pytest.mark.parametrize(("count", "field"), [(1, True), (1, False), (6, True)])
+def test_panels_that_cannot_show_the_light_of_the_earth_have_it_as_an_unknown(count, field):
+    """A single panel is never opposite to a lit one. Six panels would show it, and here there is hardly any.
+
+    Who reads no magnetometer may be far from the Earth.
+    """
     made = make("right model", 0, 1)
     vehicle = replace(made.vehicle, panels=made.vehicle.panels[:count])
-    panels, _ = Panels.read(assess(vehicle, made.telemetry.isel(panel=slice(count))))
-    assert panels.earth_share == DEFAULT_EARTH_SHARE if count == 1 else panels.earth_share < 0.05
+    data = made.telemetry.isel(panel=slice(count))
+    if field:
+        data["field_B"] = ("time", "axis"), np.ones((data.sizes["time"], 3))
+    panels, _ = Panels.read(assess(vehicle, data))
+    unseen = count == 1 and field
+    assert panels.earth_share == DEFAULT_EARTH_SHARE if unseen else panels.earth_share < 0.05

@@ -37,6 +37,7 @@ from sunspin.telemetry.signals import signals
 from sunspin.vehicle import Vehicle
 from sunspin.vehicle.response.flat import PanelResponse
 from sunspin.vehicle.response.planes import sphere
+from sunspin.vehicle.sensors import VARIABLES
 
 QUADRATURE = np.polynomial.legendre.leggauss(3)
 """Nodes in [-1, 1] and weights (sum 2) of the Gauss quadrature for the mean of a reading over time."""
@@ -47,8 +48,8 @@ the shadow in addition to their noise, as a share of full Sun."""
 
 DEFAULT_EARTH_SHARE = 0.09
 """Earth's light on a panel that faces the Earth, as a share of full Sun, if the file does not show its size. So it
-is if an orbit gives its direction, but there are too few readings; or if no panel is opposite to a lit one, and so in the Earth's
-light alone: a spinner with one panel was decided 9 sigma off without it. It corresponds to
+is if an orbit gives its direction, but there are too few readings; or if a magnetometer is read, and no panel is opposite to a lit
+one, and so in the Earth's light alone: a spinner with one panel was decided 9 sigma off without it. It corresponds to
 :data:`sunspin.telemetry.quality.ALBEDO_DEFAULT` on panels in the dark."""
 
 TINY, N_SUN_DIRECTIONS = 1e-6, 500
@@ -141,7 +142,11 @@ class Panels(Term):
         shown = quality["reading"].values & ~quality["dead"].values
         zeros = SHADOW_ZERO_SHARE * quality.attrs["full_sun"] * quality["gain"].values
         dark = np.hypot(quality["noise"].values, zeros)
-        never_alone = quality.attrs["albedo_samples"] == 0
+        # who reads a magnetometer is near the Earth; with panels alone the light would be taken for that of the Sun
+        unseen = (
+            quality.attrs["albedo_samples"] == 0
+            and VARIABLES["magnetometer"] in assessment.telemetry
+        )
         panels = cls(
             power=signals(assessment.telemetry),
             # with the Earth's light as noise, until `of_pass` models it; without the errors of the gains
@@ -158,7 +163,7 @@ class Panels(Term):
             sigma_light_modelled=quality["sigma_beside_earth"].values,
             dark_sigma=np.where(shown, dark, np.inf),
             sun_up=np.ones(len(shown)),
-            earth_share=DEFAULT_EARTH_SHARE if never_alone else quality.attrs["earth_light"],
+            earth_share=DEFAULT_EARTH_SHARE if unseen else quality.attrs["earth_light"],
         )
         return panels, quality["why"].values.astype(object)
 
