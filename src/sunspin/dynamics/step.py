@@ -96,7 +96,10 @@ def _write_matrix(q, matrix):
 
 
 def _entry(sources: int) -> Any:
-    """Return the cached entry point; `sources` is the digest of what it is compiled from (:mod:`sunspin.dynamics.processor`)."""
+    """Return the entry point, whose machine code is stored on disk and compiled again when a source file has changed.
+
+    `sources`: the digest of the files that it is compiled from (:func:`sunspin.dynamics.processor.digest`).
+    """
 
     @cached("compiling the step of rates, once (some 5 s)")
     def run(omega, dt, counts, momentum, momentum_end, inertia, inverse, attitudes):
@@ -104,7 +107,7 @@ def _entry(sources: int) -> Any:
 
         Arguments as of :func:`carry_bodies`; `inverse` (r, K or 1, 6): A^-1.
         """
-        _ = sources
+        _ = sources  # so the closure holds the digest, which becomes a key of numba's cache
         n = dt.shape[1]
         states, bodies = np.empty((n, SIZE)), inertia.shape[1]
         for r in range(omega.shape[0]):

@@ -89,14 +89,15 @@ def step(
 ) -> Step:
     """Propagate K motions over n intervals each by the equations of motion; return them at the ends, with derivatives if wanted.
 
-    `inertia` (3, 3), or (K, 3, 3) of each motion, in mean moments; `omega` (K, n, 3): rates at the start, rad/s; `dt` (n), s, which
-    may be negative; `momenta`: two (n, 3), of the wheels at start and end, in mean moments times rad/s. `derivatives`: by the
-    start, and by one sigma of each of the `errors` (e, 3, 3) of the inertia.
+    Vectors are in body axes; inertia and momenta are divided by the mean moment of inertia. `inertia` (3, 3) of all motions or
+    (K, 3, 3) of each; `omega` (K, n, 3): rates at the starts of the intervals, rad/s; `dt` (n): their lengths, s, negative backward
+    in time; `momenta`: momentum (n, 3) of all wheels at the starts, and at the ends, rad/s; it is linear between. `derivatives`: by
+    turn and rate at the start, and by one sigma of each of the `errors` (e, 3, 3) of the inertia.
     """
     # a sphere without wheels has a constant rate, and needs no integration
-    bare = errors is None or not len(errors)
+    exact = errors is None or not len(errors)
     sphere = inertia.ndim == 2 and bool((inertia == inertia[0, 0] * np.eye(3)).all())
-    if bare and sphere and not (momenta[0].any() or momenta[1].any()):
+    if exact and sphere and not (momenta[0].any() or momenta[1].any()):
         return _constant_rate_step(omega, dt, derivatives)
     bodies = inertia[None] if inertia.ndim == 2 else inertia  # (1 or K, 3, 3)
     angle = angle_turned(bodies, omega, dt, momenta)
@@ -108,7 +109,8 @@ def step(
     # the first axis counts runs: the motion itself, three with a changed rate, and one with each error of the inertia
     errors = np.zeros((0, 3, 3)) if errors is None else errors
     of_rates, of_errors = slice(1, 4), slice(4, None)
-    # one component of the rate is changed by what turns the body by DIFFERENCE in the interval; if that is zero, in 1 s
+    # One component of the rate is changed so that the body turns by DIFFERENCE (rad) more in the interval. In an interval of length
+    # zero the change is as for 1 s.
     span_s = np.where(dt == 0, 1.0, dt)[:, None]
     rates = np.repeat(omega[None], 4 + len(errors), axis=0)
     rates[of_rates] += np.eye(3)[:, None, None] * (DIFFERENCE / span_s)
@@ -119,7 +121,7 @@ def step(
     change = np.moveaxis(change, 0, -1)  # (K, n, 6, runs but the first), relative to the first
     by_rate, by_error = change[..., :3], change[..., 3:]
     by_start = np.zeros((*omega.shape[:-1], 6, 6))
-    # a turn at the start is the same turn in the body axes of the end, and changes no rate
+    # a turn at the start turns the end too: `turned` gives its components in body axes at the end; it changes no rate
     by_start[..., TURN, TURN] = turned[0]
     by_start[..., RATE] = by_rate * span_s[..., None] / DIFFERENCE
     return Step(turned[0], rate[0], by_start, by_error / INERTIA_DIFFERENCE)

@@ -127,16 +127,16 @@ class NormalEquations:
         self.corner = np.repeat(np.eye(m)[None], k, axis=0)
 
     def add_readings(self, residual: Residual, unknowns: np.ndarray) -> None:
-        """Add the differences (K, n, r) of one sensor's predictions from its readings, weighted by their law of errors.
+        """Add the predictions less readings (K, n, r) of one sensor, with cost and weights by their law of errors.
 
-        `unknowns` (m): indices among the unknowns of the model of those to which `residual.by_u` belongs.
+        `unknowns` (m): indices of the term's unknowns among all unknowns of the model; `residual.by_u` is the derivative by them.
         """
         cost, weight = residual.law(residual.value)
         self.cost += cost.sum(axis=1)
-        # each value and weight as a matrix (K, n, r, 1) or (K, n, 1, 1)
+        # as stacks of matrices, for products: values (K, n, r, 1) and weights (K, n, 1, 1)
         value, weight = residual.value[..., None], weight[..., None, None]
         by_u = residual.by_u
-        # of turn and rate at the sample: their rows in the state, the derivative A, and w A^T
+        # for turn and rate at the sample: their slice of the state, the derivative A (K, n, r, 3), and w A^T (K, n, 3, r)
         by_state = [
             (rows, derivative, _transposed(weight * derivative))
             for rows, derivative in ((TURN, residual.by_turn), (RATE, residual.by_rate))

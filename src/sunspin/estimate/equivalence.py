@@ -476,10 +476,10 @@ def _wheel_cost(
 def _sensors_agree(
     observed: Observed, first: ColumnChange, second: ColumnChange, m: np.ndarray
 ) -> bool:
-    """Return whether the other sensors that were read fit both changes if m maps the body.
+    """Return whether m, as the map from the first change to the second, agrees with every other sensor that was read.
 
-    A sensor does if its axes (3, 3) under the second change are those under the first, mapped by m as its readings are: directions
-    by m, rates by det(m) m.
+    A sensor agrees with m if its axes (3, 3) under the second change are m times those under the first for directions, and det(m) m
+    times those under the first for rates.
     """
     determinant = float(np.linalg.det(m))  # -1 for a mirror
     dipole = observed.vehicle.sensors.disturbance.dipole
@@ -492,15 +492,17 @@ def _sensors_agree(
             possible = [determinant * m @ axes]
         elif name == "sun_sensor_B":
             possible = [m @ axes]
-        elif (
-            not observed.in_orbit
-        ):  # a magnetometer: a field of unknown direction in space has no known sign
+        elif not observed.in_orbit:
+            # a magnetometer: the direction of the field in space is unknown, and so is its sign
             possible = [m @ axes, -m @ axes]
-        elif determinant > 0:  # with the Sun, a field of known direction excludes mirrors
+        elif determinant > 0:
+            # a magnetometer: field and Sun in space are known, which excludes mirrors
             possible = [m @ axes]
-        if name == "field_B" and dipole is not None:  # the torque must be the same
+        # the torque of a stated dipole must stay the same: m must map the dipole onto itself or its opposite
+        if name == "field_B" and dipole is not None:
             off = min(np.linalg.norm(m @ dipole - sign * dipole) for sign in (1.0, -1.0))
             possible = possible if off <= AXES_ALIKE * np.linalg.norm(dipole) else []
+        # if no axes are possible, this is true: the sensor excludes m
         if all(np.abs(candidate - second_axes).max() > AXES_ALIKE for candidate in possible):
             return False
     return True

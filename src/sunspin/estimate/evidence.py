@@ -84,18 +84,19 @@ def ladder(
     def fit_path(path: Sequence[float], begin: Fit, begin_rung: float) -> tuple[Fit, float]:
         """Fit the rungs of `path` one after the other and add the fits to `fits`; return the last fit and its rung.
 
-        The first begins at the motions of the fit `begin`, on the rung `begin_rung`, each next one where the fit before ended. What
-        is added to `fits` is the fit after its sum over the sizes of its sigmas (`sum_over_shares`).
+        The first begins at the motions of `begin`, the fit on `begin_rung`; each other begins where the fit before it ended. The
+        fits in `fits` are summed over the possible sizes of their prior sigmas (`sum_over_shares`); the returned one is not.
         """
         last, last_rung = begin, begin_rung
         for rung in path:
-            # Rungs are farther apart than a motion can follow: from one to the next in steps of a factor `cooling` at most. 1e-9:
-            # a ratio of exactly `cooling` is one step, however it is rounded.
+            # Rungs are farther apart than a motion can follow. So strengths between two rungs are fitted too: each differs from the
+            # one before by a factor of `cooling` at most. 1e-9: a ratio of exactly `cooling` is one step, however it is rounded.
             steps = max(1, int(np.ceil(abs(np.log(rung / last_rung)) / np.log(s.cooling) - 1e-9)))
             between = np.geomspace(last_rung, rung, steps + 1)[1:-1].tolist()
             for strength in (*between, rung):
                 under = model.under(strength)
                 motions = last.motions
+                # under weaker torques a minimum may split in two: the best motion is also fitted from both sides of it
                 if rung < last_rung:
                     motions = Track.joined([motions, _with_other_torques(last)])
                 motions = rescale_unknowns(motions, last.model, under)

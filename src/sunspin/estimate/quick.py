@@ -29,14 +29,14 @@ def quick_evidence(
 ) -> float:
     """Return the log evidence of a pass, up to a constant that depends only on the number of readings.
 
-    It is minus infinity if the model allows no motion. To be quick, inertia and gains are held at the values of the file, the
-    search begins at one pair of samples, and the more probable one of two strengths of torques counts. `known`: motions (K) of the
-    pass from which the fits begin; then no search is made.
+    It is minus infinity if the model allows no motion. To save time, inertia and gains are held at the values of the vehicle file,
+    the search begins at one pair of samples, and the evidence is that under the better of two strengths of unknown torques.
+    `known`: motions (K) of the pass from which the fits begin; then no search is made.
     """
     s = replace(settings.search, more_places=0)
     ladder_settings = replace(settings.ladder, rungs=RUNGS)
     log_evidence = np.full(len(RUNGS), -np.inf)
-    # several models if readings may mean several things
+    # one model for each meaning that the readings may have; the evidence is summed over them
     for model in nominal.for_search(Noise(s.noise)):
         if known is None:
             try:
@@ -48,6 +48,7 @@ def quick_evidence(
         for fitted in ladder(model, motions.take(slice(MOTIONS)), ladder_settings, s, s.noise):
             rung = RUNGS.index(fitted.model.noise.acceleration)
             log_evidence[rung] = np.logaddexp(log_evidence[rung], logsumexp(fitted.log_evidence))
+    # densities of panel readings have a factor 1 / sigma, which the costs leave out; it depends on the vehicle
     panels = (term for term in nominal.obs.terms if isinstance(term, Panels))
     return float(log_evidence.max()) - sum(map(sum_of_log_sigmas, panels))
 

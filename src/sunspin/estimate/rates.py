@@ -260,14 +260,16 @@ def fit_passes(
     *,
     show_bar: bool,
 ) -> FittedPasses:
-    """Fit all passes, the longest first, since their fits decide what the wheels do.
+    """Fit all passes, and decide by the fits of the longest ones what the wheels do and which may turn the other way.
 
-    `nominal`: nominal model of the whole file, with any momentum of the wheels. `show_bar`: show a progress bar in the terminal.
+    `nominal`: nominal model of the whole file; its momentum of the wheels is replaced. `show_bar`: show a progress bar in the
+    terminal.
     """
     longest = passes[longest_passes(passes)[0]]
-    # While the wheels are decided, other processes may search with reversed ones. They assume the model that the wheels probably
-    # have: they coast, the second model, if the vehicle file states a friction; else it is the only one.
-    probable = list(wheel_models(assessment.vehicle, assessment.telemetry))[:2][-1]
+    # Searches with reversed wheels need a model of the wheels. They may run in other processes while that model is decided; until
+    # then they assume the probable one. That is the second, wheels that coast, if there are several.
+    names = list(wheel_models(assessment.vehicle, assessment.telemetry))
+    probable = names[1] if len(names) > 1 else names[0]
     searches = search_reversed(assessment, probable, nominal, longest, fitter)
     wheels = decide_wheels(assessment, nominal, passes, fitter)
     if wheels.name != probable:
@@ -423,12 +425,14 @@ def common_noise(fits: Sequence[PassFits]) -> float:
 def log_evidence_of_passes(
     assessment: Assessment, fitted: FittedPasses, passes: Sequence[Pass]
 ) -> list[float]:
-    """Return the log evidence of each pass, summed over motions, models and strengths of torques, which are equally likely.
+    """Return the log evidence of each pass: summed over motions and models, averaged over the strengths of torques.
 
-    It is up to a constant that depends only on the number of readings, so that it compares files whose columns are exchanged.
+    A constant that depends only on the number of readings is left out. So files whose columns are exchanged can be compared.
     """
     log = []
     for pass_fits, a_pass in zip(fitted.fits, passes, strict=True):
+        # The costs of fits leave out the sigmas of the panels' readings, and all readings of panels without any signal. Both depend
+        # on the order of the columns.
         panels = [term for term in pass_fits.nominal.obs.terms if isinstance(term, Panels)]
         silent = cost_of_silent_panels(assessment, a_pass.kept) if panels else 0.0
         evidence = logsumexp(pass_fits.log_evidence_of_rungs()) - np.log(len(pass_fits.rungs))

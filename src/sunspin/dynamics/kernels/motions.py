@@ -408,12 +408,15 @@ def advance(queue, motions, task, answer, work):
 
 
 def _entry(sources: int) -> Any:
-    """Return the cached entry point; `sources` is the digest of what it is compiled from (:mod:`sunspin.dynamics.processor`)."""
+    """Return the entry point, whose machine code is stored on disk and compiled again when a source file has changed.
+
+    `sources`: the digest of the files that it is compiled from (:func:`sunspin.dynamics.processor.digest`).
+    """
 
     @cached("compiling the integrator of motions, once (some 20 s)")
     def run(queue, motions, task, answer, work):
         """Compute the motions of a queue (:func:`advance`)."""
-        _ = sources
+        _ = sources  # so the closure holds the digest, which becomes a key of numba's cache
         advance(queue, motions, task, answer, work)
 
     return run

@@ -579,12 +579,15 @@ def new_lanes() -> SplitLanes:
 
 
 def _entry(sources: int) -> Any:
-    """Return the cached entry point; `sources` is the digest of what it is compiled from (:mod:`sunspin.dynamics.processor`)."""
+    """Return the entry point, whose machine code is stored on disk and compiled again when a source file has changed.
+
+    `sources`: the digest of the files that it is compiled from (:func:`sunspin.dynamics.processor.digest`).
+    """
 
     @cached("compiling the integrator of scans, once (some 10 s)")
     def run(task, lanes, motions, nodes, answer):
         """Compute the motions of a task, L at a time (:func:`run_block`)."""
-        _ = sources
+        _ = sources  # so the closure holds the digest, which becomes a key of numba's cache
         for first in range(0, len(task.queue), L):
             run_block(first, task, lanes, motions, nodes, answer)
 

@@ -256,9 +256,11 @@ def follow_momentum(lanes, torques):
 def set_mode(lanes, n_wheels, l, modes, torques):
     """Write the numbers of lane l that depend on which wheels turn freely: SPIN, A^-1, A^-1 less SPIN, A^-1 K and A^-1 u.
 
-    `modes` (2^n_wheel, 7): those of the motion (:class:`rows.Motions`).
+    Also copy the state `y` into c[0], where the series of the next step begins. `modes` (2^n_wheels, 7): SPIN and A^-1 of this
+    motion for each set of free wheels, as in :class:`rows.Motions`; `torques`: their code in `rows`.
     """
     y, p, u = lanes.y, lanes.p, lanes.u
+    # the directions are in axes that rotate by the old SPIN: they are brought back to body axes before it changes
     straighten(lanes, l, torques)
     mode = 0  # bit i: wheel i turns freely
     for i in range(n_wheels):
@@ -383,11 +385,12 @@ def settle(lanes, n_wheels, l, modes, torques):
 
 @compiled
 def pass_event(lanes, n_wheels, l, modes, torques, wheel):
-    """Change the mode of lane l at the event of a wheel, and return what the wheel does.
+    """Change the mode of lane l at the event of the wheel numbered `wheel`, and return what that wheel does.
 
-    Forward in time a wheel that comes to rest sticks (STOPS) or continues in reverse (REVERSES), and a stuck one BREAKS_AWAY.
-    Backward in time, a wheel at zero speed that friction could not hold had reversed. If friction could hold it, it RESTS: the time
-    before is not determined. A stuck wheel beyond its limit is OVERLOADED: it cannot have been stuck before.
+    Forward in time, a free wheel that comes to rest sticks (STOPS); if friction cannot hold it, it turns the other way (REVERSES).
+    A stuck wheel BREAKS_AWAY. Backward in time, a free wheel that comes to rest turned the other way before (REVERSES) if friction
+    could not hold it. Otherwise it RESTS: how it moved before is not determined. A stuck wheel beyond the limit of friction is
+    OVERLOADED: it cannot have been stuck before. `modes`, `torques`: as in `set_mode`.
     """
     u = lanes.u
     w = wheel * PER_WHEEL + l
@@ -400,8 +403,10 @@ def pass_event(lanes, n_wheels, l, modes, torques, wheel):
         return BREAKS_AWAY
     omega, holding = np.empty(3), np.empty(WHEELS)
     sign = u[w + SIGN]
+    # the speed is zero but for rounding: h = J u.omega makes it exactly zero
     write_body_rate(lanes.y, lanes, n_wheels, l, omega)
     lanes.y[AXIAL + wheel * L + l] = along_axis(u, w, omega) / u[w + INVERSE_J]
+    # the wheel is first held; then the torque that would hold it shows whether friction can
     stick(u, w)
     set_mode(lanes, n_wheels, l, modes, torques)
     if backward:
@@ -411,5 +416,6 @@ def pass_event(lanes, n_wheels, l, modes, torques, wheel):
         slip(u, w, -sign)
         set_mode(lanes, n_wheels, l, modes, torques)
         return REVERSES
+    # forward in time: release the wheel again if friction cannot hold it
     settle(lanes, n_wheels, l, modes, torques)
     return STOPS if u[w + FREE] < 0.5 else REVERSES

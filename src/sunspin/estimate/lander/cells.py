@@ -166,21 +166,22 @@ def load_corners(cells, cell, corners):
 
 @compiled
 def interpolate(corners, m, x, q):
-    """Write the quaternion (4) of sample m at the place x (3) of a cell into q[0], its derivatives by x into q[1:].
+    """Write the quaternion (4) of sample m at the place x (3) in a cell into q[0], its derivatives by the three x into q[1:4].
 
     It is interpolated trilinearly and is not a unit quaternion. `corners` (8, m, 4) as of :func:`load_corners`: corner
     4 a + 2 b + c is at the end a (0 or 1) of the first axis, b of the second, c of the third.
     """
     for k in range(4):
-        # each of the two sides across the first axis is interpolated along the third, then along the second axis
+        # a = 0 and 1: the faces of the cell at the two ends of the first axis
         for a in range(2):
-            # `low` and `high`: the ends of the second axis
+            # on the two edges of the face at the ends of the second axis, `low` and `high`: along the third axis
             low, high = corners[4 * a, m, k], corners[4 * a + 2, m, k]
             rise_low, rise_high = corners[4 * a + 1, m, k] - low, corners[4 * a + 3, m, k] - high
             low, high = low + x[2] * rise_low, high + x[2] * rise_high
+            # on the face: along the second axis, with the derivatives by x[1] and x[2]
             value, by_y = low + x[1] * (high - low), high - low
             by_z = rise_low + x[1] * (rise_high - rise_low)
-            # then between the sides, along the first axis
+            # between the faces: along the first axis; the derivative by x[0] is the difference of their values
             if a == 0:
                 q[0, k], q[1, k], q[2, k], q[3, k] = value, -value, by_y, by_z
             else:
@@ -225,15 +226,19 @@ def write_rotation_slope(q, change, vector, out):
 
 @compiled
 def nearest_node(size, x, y, z):
-    """Return the index of the node nearest to the direction (x, y, z) among :func:`~sunspin.estimate.lander.allowed.cube_nodes`."""
+    """Return the index, in :func:`~sunspin.estimate.lander.allowed.cube_nodes` of `size`, of the node near a direction (x, y, z).
+
+    The direction may have any length. Of the nodes on the face of the cube that it hits, the one nearest to that point is taken.
+    """
     along = (abs(x), abs(y), abs(z))
-    # the face of the cube that the direction hits, and its coordinates there times the component `top` along the face's normal
+    # the axis across the face that the direction hits, its component `top` along that axis, and those along the next two axes
     if along[0] >= along[1] and along[0] >= along[2]:
         axis, top, row, column = 0, x, y, z
     elif along[1] >= along[2]:
         axis, top, row, column = 1, y, z, x
     else:
         axis, top, row, column = 2, z, x, y
+    # divided by |top|, the last two are coordinates on the face, from -1 to 1; nodes are 2 / size apart
     length = max(abs(top), 1e-300)
     i = int(np.rint((row / length + 1) * (size / 2)))
     j = int(np.rint((column / length + 1) * (size / 2)))

@@ -259,10 +259,12 @@ def fit_magnetometer(
 
 
 def fit_sphere(reading: np.ndarray, strength: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the zero (K, 3) of readings (n, 3) and their scale (K), one for all axes, for which the field strengths (K, n) fit.
+    """Fit |scale (reading - zero)| = strength; return the zero (K, 3), in the unit of readings, and the scale (K) of all axes.
 
-    The condition |scale (reading - zero)| = strength is linear in zero, |zero|^2 and 1 / scale^2: |reading|^2 = 2 reading . zero -
-    |zero|^2 + strength^2 / scale^2. If least squares give no positive 1 / scale^2, the zero is 0 and the scale 1.
+    `reading` (n, 3); `strength` (K, n) of the field; both in units of their usual size. Squared, the condition is |reading|^2 = 2
+    reading . zero - |zero|^2 + strength^2 / scale^2. With -|zero|^2 as an unknown of its own it is linear in five unknowns: zero,
+    -|zero|^2 and 1 / scale^2. If least squares give no positive 1 / scale^2, the zero is 0 and the scale 1. The scale is limited
+    to between `LEAST_SCALE` and 1 / `LEAST_SCALE`.
     """
     design = np.empty((*strength.shape, 5))
     design[..., :3], design[..., 3], design[..., 4] = 2 * reading, 1.0, strength**2
@@ -425,15 +427,15 @@ def _length_and_direction(field: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return length, field / length[..., None]
 
 
-def _jacobian_along(direction: np.ndarray, reading: np.ndarray) -> np.ndarray:
-    """Return the derivatives (K, n, 12) by the unknowns of the components of fields along vectors v (K, n, 3), at readings (n, 3).
+def _jacobian_along(v: np.ndarray, reading: np.ndarray) -> np.ndarray:
+    """Return the derivatives (K, n, 12) of v . field by the unknowns M and zero, for vectors `v` (K, n, 3) and readings (n, 3).
 
-    As field = (1 + M) reading - zero, the component v . field changes by v_i reading_j dM_ij and by -v . dzero.
+    The field is (1 + M) reading - zero, so that v . field changes by v_i reading_j dM_ij and by -v . dzero.
     """
-    jacobian = np.empty((*direction.shape[:2], 12))
-    by_matrix = direction[..., :, None] * reading[:, None, :]
-    jacobian[..., MATRIX] = by_matrix.reshape(*direction.shape[:2], 9)
-    jacobian[..., ZERO] = -direction
+    jacobian = np.empty((*v.shape[:2], 12))
+    by_matrix = v[..., :, None] * reading[:, None, :]
+    jacobian[..., MATRIX] = by_matrix.reshape(*v.shape[:2], 9)
+    jacobian[..., ZERO] = -v
     return jacobian
 
 

@@ -169,22 +169,23 @@ class RateMagnitudes(Term):
         return (Unknown("rate_size_scale", "rate_size_scale", "1", 0.0, self.scale_sigma),)
 
     def residuals(self, states: States, u: np.ndarray) -> Iterator[Residual]:
-        """Yield the predicted less the read magnitude (K, n, 1) in sigmas. The prediction includes the error of the scale.
+        """Yield the predicted less the read magnitudes (K, n, 1) in sigmas.
 
-        Its derivative by the rate is the unit vector along the rate, or zero for a body at rest.
+        The prediction is the magnitude of the rate, changed by the error u (K, 1) of the scale if that is not known. Its derivative
+        by the rate is the unit vector along the rate, or zero for a body at rest.
         """
         was_read = self.present()
         if not was_read.any():
             return
         reading = np.where(was_read, self.size, 0.0)
-        size = np.linalg.norm(states.omega, axis=-1)
-        axis = states.omega / np.where(size > 0, size, 1.0)[..., None]
-        value = (was_read * (size - reading) / self.sigma)[..., None]
+        magnitude = np.linalg.norm(states.omega, axis=-1)
+        axis = states.omega / np.where(magnitude > 0, magnitude, 1.0)[..., None]
+        value = (was_read * (magnitude - reading) / self.sigma)[..., None]
         by_rate = (was_read[:, None] * axis / self.sigma)[:, :, None, :]
-        if not u.size:
+        if not u.size:  # the scale is known
             yield Residual(value, by_rate=by_rate)
             return
-        # a scale error changes the prediction in proportion to the magnitude; the reading is near enough to it
+        # a scale error changes the prediction in proportion to the magnitude, for which the reading is taken here
         by_scale = (self.scale_sigma * reading / self.sigma)[:, None, None]
         value = value + by_scale[..., 0] * u[:, None, :]
         yield Residual(value, by_rate=by_rate, by_u=np.broadcast_to(by_scale, (*value.shape, 1)))

@@ -293,16 +293,18 @@ class PanelPowers(Term):
         return factor * light, with_factor(by_turn), with_factor(by_u)
 
     def best_factor(self, light: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the best factor (K, n, 1) of each sample for powers `light` (K, n, p), and the weights (K, n, p) of readings.
+        """Return the factors (K, n, 1) of samples with which powers `light` (K, n, p) fit best, and weights (K, n, p) of readings.
 
-        The weight of a reading is by its noise, and smaller far from the prediction. Without readings the factor is one.
+        The factor is that of weighted least squares, sum(w y p) / sum(w p^2) with powers p and readings y, of which negative ones
+        count as zero. The weights w are first those of the noise alone. Then they are made smaller far from the prediction, as for
+        outliers, :data:`ROUNDS` times. If no reading of a sample determines its factor, the factor is one.
         """
         read = np.maximum(self.power, 0.0)
         by_noise = self.used * (np.min(self.sigma) / self.sigma) ** 2
         weight = np.broadcast_to(by_noise, light.shape)
         factor = np.ones((*light.shape[:-1], 1))
-        for iteration in range(ROUNDS + 1):
-            if iteration:
+        for round_number in range(ROUNDS + 1):
+            if round_number:
                 residual = (self.power - factor * light) / (HALF_WEIGHT * self.sigma)
                 weight = by_noise / (1.0 + residual**2)
             square = np.sum(weight * light**2, axis=-1, keepdims=True)
