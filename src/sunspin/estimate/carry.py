@@ -128,25 +128,29 @@ def step(
 
 
 def _constant_rate_step(omega: np.ndarray, dt: np.ndarray, derivatives: bool) -> Step:
-    """Return motions with constant rates `omega` (K, n, 3) in body axes after intervals `dt` (n), with derivatives if wanted.
+    """Return the motions of a sphere without wheels after intervals `dt` (n), s, with derivatives by the start if wanted.
 
-    They are those of a sphere without wheels. The body turns by the angle x about the axis a. A change dw of the rate adds the turn
-    dw dt du in each part du of the interval, which the rest of the rotation, by x u, carries to the axes of the end. So the
-    derivative of the turn at the end is dt times the mean of these rotation matrices over u from 0 to 1 (sinc(x) = sin(x) / x):
+    The rates `omega` (K, n, 3), rad/s in body axes, are constant. The body rotates by the angle x about the axis a.
 
-        sinc(x) I + (1 - sinc(x)) a a^T - (1 - cos x) / x [a x].
+    Let the rate change by dw. Then each part du of the interval adds a turn dw dt du. If the part u of the interval is still to
+    come, a rotation by u x converts this turn to the body axes of the end. So the derivative of the turn at the end by the rate is
+    dt times the mean of these rotation matrices over u from 0 to 1. With sinc(x) = sin(x) / x and the matrix C of the cross
+    product, C v = a x v, the mean is
+
+        sinc(x) I + (1 - sinc(x)) a a^T - (1 - cos x) / x C.
     """
-    angle = omega * np.asarray(dt)[..., None]
-    turned = rotate_attitude(np.broadcast_to(np.eye(3), (*omega.shape, 3)), angle)
+    rotation = omega * np.asarray(dt)[..., None]  # rotation vectors
+    turned = rotate_attitude(np.broadcast_to(np.eye(3), (*omega.shape, 3)), rotation)
     if not derivatives:
         return Step(turned, omega.copy())
-    x = np.linalg.norm(angle, axis=-1)[..., None, None]
-    axis = angle[..., None, :] / np.maximum(x, np.finfo(float).tiny)
-    sinc, half = np.sinc(x / np.pi), np.sinc(x / (2 * np.pi))
+    x = np.linalg.norm(rotation, axis=-1)[..., None, None]
+    axis = rotation[..., None, :] / np.maximum(x, np.finfo(float).tiny)  # a^T, (K, n, 1, 3)
+    # sinc(x) and sinc(x / 2); NumPy's function is sin(pi x) / (pi x)
+    sinc, sinc_of_half = np.sinc(x / np.pi), np.sinc(x / (2 * np.pi))
     along = np.swapaxes(axis, -1, -2) @ axis
-    across = cross_matrix(axis[..., 0, :])
+    cross = cross_matrix(axis[..., 0, :])
     # (1 - cos x) / x = 2 sin^2(x / 2) / x = x / 2 sinc(x / 2)^2
-    mean = sinc * np.eye(3) + (1 - sinc) * along - x / 2 * half**2 * across
+    mean = sinc * np.eye(3) + (1 - sinc) * along - x / 2 * sinc_of_half**2 * cross
     by_start = np.zeros((*omega.shape[:-1], 6, 6))
     by_start[..., TURN, TURN] = turned
     by_start[..., TURN, RATE] = np.asarray(dt)[..., None, None] * mean

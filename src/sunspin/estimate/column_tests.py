@@ -525,13 +525,18 @@ def axes_matrix(order: Sequence[int], signs: Sequence[float]) -> np.ndarray:
 
 
 def advice_to_set(table: str, keys: Mapping[str, Any]) -> str:
-    """Return in words which keys to set in a table of the vehicle file, each as a line of it."""
+    """Return the advice to set `keys` (key -> value) in a table of the vehicle file, each written as the file would state it.
+
+    A value with its sigma is a mapping. It is written on one line: key = {value = ..., sigma = ...}.
+    """
     lines = []
     for key, value in keys.items():
-        inline = tomlkit.inline_table()  # for a value with its sigma: {value = ..., sigma = ...}
         if isinstance(value, Mapping):
-            inline.update(value)
-        lines.append(tomlkit.dumps({key: inline or value}).strip())
+            written = tomlkit.inline_table()
+            written.update(value)
+        else:
+            written = value
+        lines.append(tomlkit.dumps({key: written}).strip())
     return f"set {' and '.join(lines)} under [{table}] of the vehicle file"
 
 

@@ -93,9 +93,11 @@ def propagate_to_all(
 def _bridge(share: np.ndarray, span: np.ndarray, noise: np.ndarray) -> np.ndarray:
     """Return the covariance (m, 6, 6) of turn and rate that unknown torques cause at m instants between two known states.
 
-    The torques are white angular acceleration of the strength q: `noise` (m), rad/s^1.5. Each instant lies in an interval of the
-    length T, `span` (m), s, at the part s of it, `share` (m). The variances of each component, with p = s (1 - s):
-    q^2 T^3 p^3 / 3 of the turn and q^2 T p (1 - 3 p) of the rate. The correlation of turn and rate is left out.
+    The torques are white angular acceleration of the strength q, `noise` (m) in rad/s^1.5. Each instant lies between two kept
+    samples that are T apart, `span` (m) in seconds. The time since the first of them is the part `share` (m) of T.
+
+    With p = share (1 - share), each component has the variance q^2 T^3 p^3 / 3 of the turn and q^2 T p (1 - 3 p) of the rate. The
+    correlation of turn and rate is left out.
     """
     p = (share * (1 - share))[:, None, None]
     # q^2 T: variance of the rate at the end of the interval, if it were not known there

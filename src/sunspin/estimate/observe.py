@@ -228,10 +228,11 @@ def _source(telemetry: xr.Dataset, wanted: str | None, has_field: bool) -> str:
 
 
 def split_passes(readings: FileReadings, gap_s: float | None, s: PassSettings) -> list[Pass]:
-    """Return the passes of a file: separated by long gaps, cut if they are too long, each with the samples that the search keeps.
+    """Return the passes of a file: stretches without a long gap, cut if they last too long, each with the samples a search keeps.
 
-    A gap is long if it exceeds `gap_s`, by default `s.gap_intervals` median intervals. With the default a pass also continues over
-    a gap in which a magnetometer was read. Pieces of less than three samples are left out; raise InputError if no pass is left.
+    A gap is long if it exceeds `gap_s` (s), by default `s.gap_intervals` median intervals. With the default a pass also continues
+    over a gap in which a magnetometer was read (:func:`_field_bridges`). Pieces of less than three samples are left out. Raise
+    `InputError` if the file has less than three usable samples, or no pass.
     """
     usable = readings.usable
     if len(usable) < 3:
@@ -243,26 +244,28 @@ def split_passes(readings: FileReadings, gap_s: float | None, s: PassSettings) -
     t_s = readings.obs.t_s[usable]
     median_s = float(np.median(np.diff(t_s)))
     gap = s.gap_intervals * median_s if gap_s is None else gap_s
-    # indices among the usable samples of those after which a pass ends
+    # indices into `usable` of the samples that a long gap follows: the last samples of passes
     ends = np.flatnonzero(np.diff(t_s) > gap)
     # readings of a field whose direction in space is unknown
     magnetometers = [term for term in readings.obs.terms if isinstance(term, FieldChange)]
     field_changes = [term for term in magnetometers if term.present().any()]
     if field_changes and gap_s is None:
         field_s = readings.obs.t_s[np.isfinite(field_changes[0].field_B).all(axis=1)]
-        ends = [k for k in ends if not _field_bridges(field_s, t_s[k], t_s[k + 1], gap, s)]
-    # Passes are cut shorter if the field's direction is unknown, as it rotates unevenly over a long pass; and in a known field if a
-    # pass would have so many samples that the search keeps too few of them.
+        is_bridged = [_field_bridges(field_s, t_s[k], t_s[k + 1], gap, s) for k in ends]
+        ends = ends[~np.array(is_bridged, dtype=bool)]
+    # A field of unknown direction is taken to rotate evenly, which holds for a short pass only. In a known field passes may be
+    # long, unless the longest would have so many samples that the search keeps too few of them.
     known_field = any(isinstance(term, KnownField) for term in readings.obs.terms)
     too_many = known_field and s.longest_s > s.most_in_field * median_s
-    longest = s.longest_field_s if field_changes or too_many else s.longest_s
+    longest_s = s.longest_field_s if field_changes or too_many else s.longest_s
     passes = []
-    for part in np.split(np.arange(len(usable)), np.asarray(ends, dtype=int) + 1):
-        # equal durations of at most the longest
-        duration = t_s[part[-1]] - t_s[part[0]]
-        pieces = max(1, int(np.ceil(duration / longest)))
-        edges = t_s[part[0]] + np.arange(1, pieces) * duration / pieces
-        for piece in np.split(usable[part], np.searchsorted(t_s[part], edges)):
+    # `part`: indices into `usable` of the samples between two long gaps
+    for part in np.split(np.arange(len(usable)), ends + 1):
+        # cut into as few pieces of equal duration as possible, none of them over the longest
+        duration_s = t_s[part[-1]] - t_s[part[0]]
+        pieces = max(1, int(np.ceil(duration_s / longest_s)))
+        edges_s = t_s[part[0]] + np.arange(1, pieces) * duration_s / pieces
+        for piece in np.split(usable[part], np.searchsorted(t_s[part], edges_s)):
             if len(piece) >= 3:
                 dense_from = _dense_from(readings.obs.sees_sun[piece], s)
                 kept = piece[thinned(len(piece), s, dense_from)]

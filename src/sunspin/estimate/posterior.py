@@ -267,18 +267,21 @@ def draw_all_models(
 def fit_under(
     carrier: Shooting, nominal: NominalSearch, searched: LanderMotions | None = None
 ) -> ModelFit:
-    """Return the motions of the nominal search, and those `searched` under the model of a carrier, all fitted under that model.
+    """Fit motions to all samples under the model of `carrier`: those of the nominal search, and `searched` if given.
 
-    The motions of the nominal search include some far worse than the best, as they may fit under another model. The unknowns that
-    the nominal model lacks begin at their centres.
+    `searched`: motions that a search under this model has left (:func:`search_under`). The motions of the nominal search include
+    some that fit far worse than the best, as they may fit under this model. Unknowns of this model that the nominal model lacks
+    begin at the centres of their priors.
     """
     names = [unknown.name for unknown in carrier.model.unknowns]
+    # indices of the nominal model's unknowns among those of this model
     places = np.array([names.index(unknown.name) for unknown in nominal.carrier.model.unknowns])
     motions = nominal.motions.with_unknowns(places, len(names))
     if searched is not None:
+        # this search has its own remarks, and notes whether it left motions out
         return carrier.fit_all_samples(LanderMotions.joined([motions, searched]))
     fit = carrier.fit_all_samples(motions)
-    # motions that the nominal search left out are missing under this model too
+    # without a search under this model, motions that the nominal search left out are missing here too
     notes = tuple(dict.fromkeys((*nominal.fit.notes, *fit.notes)))
     return replace(fit, complete=fit.complete and nominal.fit.complete, notes=notes)
 

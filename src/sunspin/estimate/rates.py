@@ -411,7 +411,8 @@ def require_directions(nominal: Model, passes: Sequence[Pass]) -> None:
 def common_noise(fits: Sequence[PassFits]) -> float:
     """Return the strength of unknown torques (rad/s^1.5) with the largest evidence of all passes together.
 
-    It is assumed to be the same in all passes, and each strength of the ladder (rung) to be equally probable beforehand.
+    It is assumed to be the same in all passes, and each strength of the ladder (rung) to be equally probable beforehand. All passes
+    have the same rungs.
     """
     # (pass, rung), minus infinity where a pass has no fit under a rung
     log_evidence = np.array([pass_fits.log_evidence_of_rungs() for pass_fits in fits])

@@ -369,9 +369,10 @@ def with_doubted_passes(result: xr.Dataset) -> xr.Dataset:
 
 
 def _estimates(best: Sequence[dict[str, tuple[str, float, float]]]) -> dict[str, Any]:
-    """Return the variables with the unknowns that were estimated with the best motion of each pass; NaN if a pass lacks one.
+    """Return variables of the result: value, sigma and unit of each unknown that was estimated along with the best motions.
 
-    `best`: of each pass, name of the unknown -> unit, value and sigma.
+    `best`: for each pass, name of an unknown of its best motion -> unit, value and sigma. Passes may have different unknowns. Value
+    and sigma are NaN in a pass that lacks an unknown.
     """
     units = {name: unit for of_pass in best for name, (unit, _, _) in of_pass.items()}
     names = list(units)

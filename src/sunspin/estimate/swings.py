@@ -101,14 +101,16 @@ def _fit_to_held(model: Model, motion: Track, held: Observations, s: LadderSetti
 
 @cache
 def harmonics() -> tuple[np.ndarray, np.ndarray]:
-    """Return the real spherical harmonics (`DIRECTIONS`, m) up to `DEGREE` at directions all over the sphere, and l (l + 1) (m).
+    """Return the m real spherical harmonics up to `DEGREE` at directions all over the sphere (`DIRECTIONS`, m), and l (l + 1) (m).
 
-    l is the degree of each. They are orthonormal: parts of the complex ones, those of an order above zero times sqrt(2).
+    l is the degree of each. By diffusion a harmonic decays at a rate proportional to l (l + 1). The real harmonics are the real and
+    imaginary parts of the complex ones of order zero and above. A factor of sqrt(2) for orders above zero makes them orthonormal.
     """
     x, y, z = sphere(DIRECTIONS).T
     degree, order = np.tril_indices(DEGREE + 1)  # all pairs with order <= degree
     values = sph_harm_y(degree, order, np.arccos(z)[:, None], np.arctan2(y, x)[:, None])
     values = values * np.where(order > 0, np.sqrt(2.0), 1.0)
+    # the imaginary parts of order zero are zero
     values = np.concatenate([values.real, values.imag[:, order > 0]], axis=1)
     degree = np.concatenate([degree, degree[order > 0]])
     return values, (degree * (degree + 1)).astype(np.float64)

@@ -412,12 +412,12 @@ def set_mode(lanes, motions, frames, l, row, body):
 def load(lanes, motions, frames, l, row):
     """Load motion `row` in its initial state into lane l, with a step of no length; `frames` as of `set_mode`.
 
-    The caller sets the true step after it has written the first node.
+    The caller (`run_block`) writes node 0 at the end of that step, and then sets the true step.
     """
     w, u = lanes.w, lanes.u
     n_wheels, inertia, body = len(motions.axes), motions.inertia[0], np.empty(6)
     omega, speeds = motions.omega_B[row], motions.speeds[row]
-    # `body`: H = I omega + sum J W u, then r, body axes
+    # `body` in body axes: H = I omega + sum J s u, with the speed s of each wheel along its axis u, then r
     for k in range(3):
         body[k] = inertia[k, 0] * omega[0] + inertia[k, 1] * omega[1] + inertia[k, 2] * omega[2]
         body[3 + k] = motions.sun_B[row, k]
@@ -429,7 +429,7 @@ def load(lanes, motions, frames, l, row):
             body[k] += axial_inertia * speeds[i] * axis[k]
         along = axis[0] * omega[0] + axis[1] * omega[1] + axis[2] * omega[2]
         sign = 1.0 if speeds[i] > 0.0 else -1.0 if speeds[i] < 0.0 else 0.0
-        # a wheel is driven, stuck (at rest with dry friction) or free
+        # A wheel is driven by its motor, stuck (at rest, with dry friction), or free: only then friction changes its momentum.
         free = not driven and not (sign == 0.0 and dry > 0.0)
         u[o + AXIAL] = axial_inertia * (speeds[i] + along)
         u[o + LOW], u[o + SPEED] = 0.0, speeds[i]
@@ -446,9 +446,10 @@ def load(lanes, motions, frames, l, row):
 
 @compiled
 def end_step(lanes, motions, frames, at, l, row):
-    """Test in lane l whether a turning wheel has come to rest in the step; return whether the step is valid.
+    """Test in lane l whether a wheel that dry friction will stop has come to rest in the step; return whether the step is valid.
 
-    If a wheel is past rest, the step is undone, and a shorter one is set. If a wheel is at rest, it sticks from now on.
+    If a wheel is past rest, the step is not valid: it is undone, and a shorter one is set. A wheel at rest sticks from now on.
+    `at`: nodes of the step (`histogram.Nodes`); `row`: the motion in the lane; `frames` as of `set_mode`.
     """
     w, u = lanes.w, lanes.u
     n_wheels = len(motions.axes)
@@ -456,11 +457,12 @@ def end_step(lanes, motions, frames, at, l, row):
     for i in range(n_wheels):
         o = i * PER_WHEEL + l
         after, before = u[o + SIGN] * u[o + SPEED], u[o + SIGN] * u[o + OLD_SPEED]
-        # rest is where the speed, taken as linear, is zero; both speeds are equal in a lane that has ended
+        # The wheel came to rest where the speed, as linear between both, is zero. In a lane whose run has ended the step has no
+        # length, and both speeds are equal.
         if after < -REST_SPEED and after != before:
             share = min(share, max(before / (before - after), MOST_SHORTENED))
     if share < 1.0:
-        # restore the state and the wheels; both nodes of the step become copies of the first, with no time between them
+        # restore the state and the wheels; nodes 1 and 2 of the step become copies of node 0, with no time between them
         for j in range(6):
             w[j * L + l] = w[OLD + j * L + l]
         for i in range(n_wheels):
@@ -485,7 +487,8 @@ def end_step(lanes, motions, frames, at, l, row):
                 body[j] += axis * w[H + k * L + l]
                 body[3 + j] += axis * w[SUN + k * L + l]
         set_mode(lanes, motions, frames, l, row, body)
-    # only after an event: the result of a lane must not depend on events of its neighbours
+    # Only after an event in this lane. `end_step` runs in all lanes if a wheel in any of them is at rest, and `set_step` computes
+    # the common rotation anew from the rounded state. So without this condition a lane's result would depend on its neighbours.
     if sticks or w[DT + l] != F(lanes.step[l]):
         set_step(lanes, n_wheels, l, lanes.step[l])
     return True

@@ -196,20 +196,21 @@ class Shooting:
         return self._at_most(motions, most, f"({samples} samples)")
 
     def _allowed(self, motions: LanderMotions, sample: int) -> np.ndarray:
-        """Return which motions (K) the readings of a sample allow.
+        """Return which motions (K) the panel readings of a sample allow, and the largest rate at the first sample too.
 
-        They allow a motion if a direction within `look_rad` of the predicted Sun explains them, up to the sum of squares that the
-        grid of starts allows too. The motion must also be slow enough at the first sample (:attr:`Reference.fastest`).
+        The readings allow a motion if they fit some direction to the Sun within `look_rad` of the predicted one. A direction fits
+        if its sum of squared residuals is at most `limit` of the grid settings, as for the starts on the grid. At the first sample
+        the rate may be :attr:`Reference.fastest` at most. A motion that cannot be computed is not allowed.
         """
-        grid, motions = self.settings.grid, motions.bare
-        model = self.model.at_samples(slice(sample, sample + 1))
-        panels = replace(model, obs=replace(model.obs, terms=(model.panels,)))
+        grid, look_rad, motions = self.settings.grid, self.shooting.look_rad, motions.bare
+        at_sample = self.model.at_samples(slice(sample, sample + 1))
+        of_panels = replace(at_sample, obs=replace(at_sample.obs, terms=(at_sample.panels,)))
         allowed = np.zeros(len(motions), dtype=bool)
         for start in range(0, len(motions), RUNS_AT_ONCE):
             rows = slice(start, start + RUNS_AT_ONCE)
-            sun = panels.carried(motions.take(rows), TRIAL_ERROR).sun_B
-            look_rad = self.shooting.look_rad
-            squares = shortfall(panels.panels, np.nan_to_num(sun), look_rad, grid).sum(axis=1)
+            sun = of_panels.carried(motions.take(rows), TRIAL_ERROR).sun_B
+            # of the best direction, or less; a Sun that is not a number is ruled out below
+            squares = shortfall(at_sample.panels, np.nan_to_num(sun), look_rad, grid).sum(axis=1)
             allowed[rows] = (squares <= grid.limit) & np.isfinite(sun).all(axis=(1, 2))
         slow = self.model.first_speed(motions.take(allowed), TRIAL_ERROR) <= self.reference.fastest
         allowed[allowed] = slow

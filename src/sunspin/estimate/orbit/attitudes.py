@@ -297,19 +297,21 @@ class OrbitModel:
         return median_residuals(field, self._measured_sun(unknown), predicted)
 
     def triad_attitudes(self, unknown: np.ndarray) -> np.ndarray:
-        """Return attitudes (n, 3, 3) from which a fit begins: the field is as read, and the Sun as near as possible (TRIAD).
+        """Return attitudes (n, 3, 3), B from Earth-fixed axes, from which a fit begins (TRIAD).
 
-        Three axes made of both vectors are known in the body and in Earth-fixed axes, which gives the attitude. `unknown` (D): by
-        which the readings are calibrated.
+        Each rotates the predicted field to the direction of the measured one, and the Sun as near as possible to the measured one.
+        It follows from three axes along and across both vectors (:func:`_triad`), which are known in the body and in Earth-fixed
+        axes. `unknown` (D) calibrates the readings, and states the along-track offset of the predicted field.
         """
         inverse = np.linalg.inv(np.eye(3) + unknown[MATRIX].reshape(3, 3))
         field_B = np.nan_to_num((self.readings.field - unknown[ZERO]) @ inverse.T)
         sun_B = np.nan_to_num(self._measured_sun(unknown))
         true_field, _ = self.sky.field_at(unknown[SHIFT], unknown[DRIFT])
-        # vectors that were not read are zero in both frames
+        # vectors that were not read are zero in both frames: `_triad` puts arbitrary ones in their place
         has_sun = (sun_B != 0).any(axis=1, keepdims=True)
-        in_space = _triad(true_field * self.readings.has_field[:, None], self.sky.sun * has_sun)
-        return _triad(field_B, sun_B) @ np.swapaxes(in_space, -1, -2)
+        true_field = true_field * self.readings.has_field[:, None]
+        in_earth_axes = _triad(true_field, self.sky.sun * has_sun)
+        return _triad(field_B, sun_B) @ np.swapaxes(in_earth_axes, -1, -2)
 
     def _measured_sun(self, unknown: np.ndarray) -> np.ndarray:
         """Return the mean unit direction to the Sun (n, 3) by panels and Sun sensors; NaN where none shows it.

@@ -64,16 +64,21 @@ class EarthLight:
     ) -> EarthLight:
         """Return the prior of the light at the times `t_s` (n), s, of a pass.
 
-        `share`: Earth's light on a panel that faces the Earth, as a share of full Sun; `full` (p): reading of each panel that faces
-        the Sun at a scale of one; `known_N` (n, 3): the albedo vector that an orbit predicts.
+        `share`: Earth's light on a panel that faces the Earth, as a share of full Sun. `full` (p): reading of each panel when it
+        faces the Sun, for a scale of one (`Panels.full_sun`). `known_N` (n, 3): the albedo vector that an orbit predicts, in parts
+        of full Sun.
+
+        Without an orbit the vector has six unknowns: three components, and their linear change. With an orbit it has seven: the
+        reflectivity of the ground, by which the predicted vector is multiplied, and six of a vector that is added for clouds.
         """
         zeros = EARTH_ZERO * share * full
         # a component has the sigma of the whole vector over sqrt(3)
         if known_N is None:
             return cls(drifting_vector(t_s, EARTH_WIDER * share / np.sqrt(3), LIGHT_RATE), zeros)
-        # one unknown for the reflectivity of the ground; six for clouds and coasts, in proportion to the light
         brightness = np.linalg.norm(known_N, axis=1)
         brightest = float(brightness.max())
+        # The vector of the clouds grows and fades with the predicted light. Where that is brightest, its sigma is a quarter of the
+        # predicted light or of `share`, the larger of both.
         clouds = drifting_vector(t_s, EARTH_KNOWN * max(brightest, share) / np.sqrt(3), LIGHT_RATE)
         clouds = clouds * (brightness / max(brightest, 1e-300))[:, None, None]
         reflectivity = REFLECTIVITY_SIGMA / REFLECTIVITY * known_N

@@ -48,9 +48,9 @@ class Given(Term):
 
     @classmethod
     def of(cls, observation: Mapping[str, Any], at: int, count: int) -> Self:
-        """Return the term of one reading at sample `at` (index) of `count`; raise `InputError` for impossible values.
+        """Return the term of one reading, at the sample with index `at` of `count` samples; raise `InputError` for invalid values.
 
-        `observation`: the reading as the user states it, with the keys `KEYS`.
+        `observation`: the reading as the user states it. Its kind and keys are valid (:func:`require_known`).
         """
         kind, sigma = str(observation["kind"]), float(observation["sigma"])
         numbers = COMPONENTS[kind]
@@ -59,12 +59,13 @@ class Given(Term):
         if not (valid and np.isfinite(sigma) and sigma > 0):
             what = f"a {kind} is {numbers} finite numbers with a positive sigma"
             raise InputError(what, got=str(dict(observation)))
-        axis = np.array([0.0, 0.0, 1.0])
+        axis = np.array([0.0, 0.0, 1.0])  # without a meaning, unless the kind is "field"
         if kind == "field":
             length, angle = np.linalg.norm(value), float(observation["angle_rad"])
             if not (0 <= angle <= np.pi and length > 0):
                 what = "a field is a direction and an angle from 0 to pi (rad)"
                 raise InputError(what, got=str(dict(observation)))
+            # the user states the field's direction as the value; what the term compares is its angle to the Sun
             axis, value = value / length, np.array([angle])
         is_read = np.arange(count) == at
         return cls(

@@ -45,13 +45,18 @@ class GyroRates(Term):
 
     @classmethod
     def read(cls, vehicle: Vehicle, telemetry: xr.Dataset) -> Self | None:
-        """Return the gyro of telemetry; None if it has none."""
+        """Return the gyro of telemetry, with its errors from the vehicle file; None if the telemetry has none.
+
+        If the vehicle file states no sigma of the zero offset, the offset may have any of the sizes :data:`GYRO_ZEROS`.
+        """
         if VARIABLES["gyro"] not in telemetry:
             return None
         rate = np.asarray(telemetry[VARIABLES["gyro"]], dtype=np.float64)
         part = vehicle.sensors.with_columns.get("gyro")
         if part is None:
+            # the noise is unknown: with a sigma of 1 rad/s the rates hardly count
             return cls(rate, sigma=1.0, zero_sigma=np.zeros(3), scale_sigma=0.0)
+        # from sigmas in the unit of the columns to rad/s, and to a relative sigma of the scale
         zero = abs(part.scale_rad_s) * zero_sigmas(part.zero_sigma)
         scale = part.scale_sigma / abs(part.scale_rad_s)
         gyro = cls(rate, part.noise_rad_s, zero, scale)
