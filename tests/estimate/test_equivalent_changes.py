@@ -21,7 +21,7 @@ from sunspin.estimate.equivalence import (
 )
 from sunspin.vehicle import Channel, Panel, Vehicle, Wheel
 from sunspin.vehicle.parts import Fact
-from sunspin.vehicle.sensors import Sensors
+from sunspin.vehicle.sensors import Disturbance, Sensors
 from tests.support.simulate import GYRO, MAGNETOMETER, QUATERNION
 from tests.support.vehicles import CUBE_NORMALS, units
 
@@ -205,6 +205,22 @@ def test_elements_exclude_mirrors_once_sun_and_field_are_known_in_space():
     assert not len(equivalence(replace(observed, in_orbit=True), field, exchange(craft, 0, 3)))
     # the Sun alone is one direction
     assert len(equivalence(lit(craft, in_orbit=True), AS_WRITTEN, exchange(craft, 0, 3))) == 1
+
+
+def test_the_torque_of_a_dipole_has_the_sign_of_the_field():
+    """The torque is d x b: only if a change reverses both the dipole d and the field b does it stay as it is."""
+    turn = np.diag([-1.0, -1.0, 1.0])
+    columns = ColumnChange("four columns exchanged", columns=(3, 4, 2, 0, 1, 5))
+    for in_orbit, sign, along_turned, along_kept in (
+        (True, 1, 0, 1),
+        (False, 1, 0, 1),
+        (False, -1, 1, 0),
+    ):
+        axes = ColumnChange("other axes", axes={"field_B": sign * turn})
+        for dipole, count in (([0.1, 0, 0], along_turned), ([0, 0, 0.1], along_kept)):
+            sensors = replace(SENSORS, disturbance=Disturbance(dipole=dipole))
+            observed = lit(body(sensors=sensors), sensors=frozenset({"field_B"}), in_orbit=in_orbit)
+            assert len(equivalence(observed, axes, columns)) == count, (in_orbit, sign, dipole)
 
 
 @pytest.mark.parametrize(("shared", "count"), [(("x",), 2), (("x", "y", "z"), 8)])

@@ -7,6 +7,7 @@ import pytest
 from scipy.integrate import quad
 from scipy.stats import norm
 
+from sunspin.base.errors import InputError
 from sunspin.cases import load_case
 from sunspin.estimate.model import Unknown
 from sunspin.estimate.settings import OUTLIER
@@ -190,8 +191,22 @@ def test_given_readings_agree_with_the_motion_that_they_describe():
     sun = np.array([0.0, 0.6, 0.8])
     omega = np.array([0.1, 0.2, -0.1])
     seen = SunStates.of(np.tile(sun, (1, 7, 1)), np.tile(omega, (1, 7, 1)))
-    values = {"rate": np.linalg.norm(omega), "gyro": omega, "direction": sun, "field": [1.0, 0, 0]}
+    # a direction may have any length
+    values = {
+        "rate": np.linalg.norm(omega),
+        "gyro": omega,
+        "direction": 2 * sun,
+        "field": [3, 0, 0],
+    }
     for given in GIVEN:
         right = given | {"value": values[given["kind"]]}
         right |= {"angle_rad": np.pi / 2} if given["kind"] == "field" else {}
         assert np.abs(only(Given.of(right, 2, 7), seen, np.zeros((1, 0))).value).max() < 1e-12
+
+
+@pytest.mark.parametrize(
+    "value", [{"kind": "rate", "value": -0.1}, {"kind": "direction", "value": [0, 0, 0]}]
+)
+def test_a_given_reading_that_nothing_can_show_is_refused(value):
+    with pytest.raises(InputError, match="a rate is|a direction is"):
+        Given.of(value | {"t_s": 3.0, "sigma": 0.01}, 2, 7)

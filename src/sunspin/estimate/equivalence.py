@@ -492,16 +492,15 @@ def _sensors_agree(
             possible = [determinant * m @ axes]
         elif name == "sun_sensor_B":
             possible = [m @ axes]
-        elif not observed.in_orbit:
-            # a magnetometer: the direction of the field in space is unknown, and so is its sign
-            possible = [m @ axes, -m @ axes]
-        elif determinant > 0:
-            # a magnetometer: field and Sun in space are known, which excludes mirrors
-            possible = [m @ axes]
-        # the torque of a stated dipole must stay the same: m must map the dipole onto itself or its opposite
-        if name == "field_B" and dipole is not None:
-            off = min(np.linalg.norm(m @ dipole - sign * dipole) for sign in (1.0, -1.0))
-            possible = possible if off <= AXES_ALIKE * np.linalg.norm(dipole) else []
+        else:  # a magnetometer
+            # The direction of the field in space is unknown, and so is its sign. In orbit field and Sun are known, which excludes
+            # mirrors.
+            signs = [1.0, -1.0] if not observed.in_orbit else [1.0] if determinant > 0 else []
+            if dipole is not None:
+                # the torque d x b of a stated dipole d stays the same for the field s m b only if m d = s d
+                limit = AXES_ALIKE * np.linalg.norm(dipole)
+                signs = [s for s in signs if np.linalg.norm(m @ dipole - s * dipole) <= limit]
+            possible = [s * m @ axes for s in signs]
         # if no axes are possible, this is true: the sensor excludes m
         if all(np.abs(candidate - second_axes).max() > AXES_ALIKE for candidate in possible):
             return False

@@ -59,9 +59,17 @@ class Given(Term):
         if not (valid and np.isfinite(sigma) and sigma > 0):
             what = f"a {kind} is {numbers} finite numbers with a positive sigma"
             raise InputError(what, got=str(dict(observation)))
+        length = np.linalg.norm(value)
+        if kind == "direction":
+            if not length > 0:
+                raise InputError("a direction is not zero", got=str(dict(observation)))
+            value = value / length
+        if kind == "rate" and value[0] < 0:
+            what = "a rate is an angular speed, zero or positive"
+            raise InputError(what, got=str(dict(observation)))
         axis = np.array([0.0, 0.0, 1.0])  # without a meaning, unless the kind is "field"
         if kind == "field":
-            length, angle = np.linalg.norm(value), float(observation["angle_rad"])
+            angle = float(observation["angle_rad"])
             if not (0 <= angle <= np.pi and length > 0):
                 what = "a field is a direction and an angle from 0 to pi (rad)"
                 raise InputError(what, got=str(dict(observation)))
