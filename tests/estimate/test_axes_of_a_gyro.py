@@ -43,7 +43,7 @@ def odd(i: int, speed_rad_s: float) -> tuple[Vehicle, xr.Dataset]:
     return craft, data
 
 
-@pytest.mark.parametrize(("count", "named"), [(1, 2), pytest.param(6, 12, marks=pytest.mark.long)])
+@pytest.mark.parametrize(("count", "named"), [(1, 2), pytest.param(6, 12, marks=pytest.mark.slow)])
 @pytest.mark.evidence(
     "rates",
     "modelled",

@@ -200,7 +200,7 @@ def blamed(craft: Vehicle, data: xr.Dataset) -> set[str]:
 
 
 @pytest.mark.parametrize(
-    ("count", "named"), [(12, 7), pytest.param(70, 50, marks=pytest.mark.long)]
+    ("count", "named"), [(12, 7), pytest.param(70, 50, marks=pytest.mark.slow)]
 )
 @pytest.mark.evidence(
     "panel_quality",
