@@ -96,8 +96,9 @@ def ladder(
             for strength in (*between, rung):
                 under = model.under(strength)
                 motions = last.motions
-                # under weaker torques a minimum may split in two: the best motion is also fitted from both sides of it
-                if rung < last_rung:
+                # Under weaker torques a minimum may split in two: the best motion is also fitted from both sides of it, if only the
+                # Sun is read. Of a pass read by its field alone that found an alias with more evidence than the truth had.
+                if rung < last_rung and model.obs.only_sun:
                     motions = Track.joined([motions, _with_other_torques(last)])
                 motions = rescale_unknowns(motions, last.model, under)
                 # on the way down a rung may have a fit already, from the way up: its motions are fitted again too
