@@ -121,7 +121,7 @@ def rates(
     from sunspin.compute.pool import worker_count
     from sunspin.estimate.orbit.judged import orbit_sources
     from sunspin.estimate.rates import rates as estimate_rates
-    from sunspin.estimate.short_windows import rates_in_windows
+    from sunspin.estimate.short_windows import passes_for_windows, rates_in_windows
     from sunspin.output.check.orbit import ChosenOrbit, choose_orbit
     from sunspin.telemetry.assess import assess
     from sunspin.telemetry.column_periods import describe_periods, read_column_periods
@@ -191,8 +191,7 @@ def rates(
         **settings,
         progress=progress,
     )
-    doubted = "columns_doubt" in result.attrs  # then the file is to be changed first
-    if not (no_windows or doubted or result["fits"].values.all()):
+    if not no_windows and len(passes_for_windows(result)):
         output.announce("no motion fits all passes; the rate is estimated in short windows")
         also_given = {key: settings[key] for key in ("source", "acceleration_noise", "effort")}
         result = rates_in_windows(

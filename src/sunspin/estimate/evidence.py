@@ -165,9 +165,13 @@ def _with_other_torques(fitted: Fit) -> Track:
     variance, axes = np.linalg.eigh(covariance[np.ix_(torques, torques)])
     # change of all unknowns for one sigma of the torque along the last axis, whose variance is the largest
     change = covariance[:, torques] @ axes[:, -1] / np.sqrt(max(variance[-1], 1e-12))
-    u_change = np.stack([change, -change])
-    state_change = np.einsum("knim,km->kni", best.states_by_u, u_change)
-    motions = best.motions
+    return _with_unknowns_changed(best, np.stack([change, -change]))
+
+
+def _with_unknowns_changed(fitted: Fit, u_change: np.ndarray) -> Track:
+    """Return the K motions of a fit with their unknowns changed by `u_change` (K, m), and the states as they follow linearly."""
+    motions = fitted.motions
+    state_change = np.einsum("knim,km->kni", fitted.states_by_u, u_change)
     return replace(
         motions,
         attitude=rotate_attitude(motions.attitude, state_change[..., TURN]),
@@ -235,17 +239,11 @@ def sum_over_shares(fitted: Fit, beyond_fit: float) -> Fit:
     u_change = valid[:, None] * (by_shared @ (centre - u)[..., None])[..., 0]
     widening = valid[:, None, None] * by_shared @ (spread - of_shared)
     widening = widening @ np.swapaxes(by_shared, -1, -2)
-    state_change = np.einsum("knim,km->kni", fitted.states_by_u, u_change)
     state_widening = (
         fitted.states_by_u @ widening[:, None] @ np.swapaxes(fitted.states_by_u, -1, -2)
     )
-    motions = Track(
-        rotate_attitude(fitted.motions.attitude, state_change[..., TURN]),
-        fitted.motions.omega + state_change[..., RATE],
-        fitted.motions.u + u_change,
-        fitted.motions.cost,
-        fitted.motions.covariance + state_widening,
-    )
+    covariance_of_states = fitted.motions.covariance + state_widening
+    motions = replace(_with_unknowns_changed(fitted, u_change), covariance=covariance_of_states)
     return replace(
         fitted,
         motions=motions,

@@ -20,6 +20,7 @@ from sunspin.estimate.model import Body
 from sunspin.estimate.observe import take_samples, wheel_models
 from sunspin.estimate.rates import rates
 from sunspin.estimate.settings import RATES, RatesSettings
+from sunspin.estimate.verdict import join_reasons
 from sunspin.vehicle import Vehicle
 
 WINDOW_SAMPLES = 7
@@ -38,6 +39,14 @@ SIGMAS_APART = 4.0
 """Sigmas by which the sizes of the momentum in two windows must differ, for a rate that changes as no free body's does."""
 
 
+def passes_for_windows(result: xr.Dataset) -> np.ndarray:
+    """Return the indices of the passes of a result that do not fit; none if columns of the file are doubted.
+
+    With wrong columns each window may fit, so the file is to be changed first.
+    """
+    return np.flatnonzero(~result["fits"].values & ("columns_doubt" not in result.attrs))
+
+
 def rates_in_windows(
     vehicle: Vehicle,
     telemetry: xr.Dataset,
@@ -52,8 +61,7 @@ def rates_in_windows(
     telemetry : Dataset
         The telemetry from which `result` was estimated.
     result : Dataset
-        Of :func:`sunspin.estimate.rates.rates`; it is returned as it is if all passes fit, or if columns of the file are doubted:
-        each window may fit with wrong columns.
+        Of :func:`sunspin.estimate.rates.rates`; it is returned as it is if no pass asks for windows (:func:`passes_for_windows`).
     options
         Of `rates`: source, max_rate_rad_s, environment, calibration, torques, effort and workers.
 
@@ -66,9 +74,7 @@ def rates_in_windows(
         attrs["controlled"] has a line for each pass whose rate changes as no free body's does; `why_not_decided` of the pass and
         attrs["verdict"] repeat it.
     """
-    failed = np.flatnonzero(~result["fits"].values)
-    if "columns_doubt" in result.attrs:
-        return result
+    failed = passes_for_windows(result)
     counts = [int((result["pass_of"].values == k).sum()) for k in failed]  # of samples
     parts, sentences = [], {}
     for k, count in zip(failed, counts, strict=True):
@@ -89,7 +95,7 @@ def rates_in_windows(
         return result
     windows = xr.concat(parts, "window")
     why = [
-        f"{text}; {sentences[k]}" if k in sentences else text
+        join_reasons(text, sentences.get(k, ""))
         for k, text in enumerate(result["why_not_decided"].values.astype(str))
     ]
     notes = [f"pass {result['pass_id'].values[k]}: {words}" for k, words in sentences.items()]
