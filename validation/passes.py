@@ -61,9 +61,6 @@ KINDS = {
 }
 """Number of passes of each kind."""
 
-WITH_COLUMN_TESTS = ("exchanged, six panels",)
-"""Kinds whose passes are also estimated with other columns, axes and signs."""
-
 ZERO_OFF = np.radians(0.5)
 """Error in rad/s of each axis of a gyro whose zero the vehicle file takes for known."""
 
@@ -506,7 +503,6 @@ def judge(kind: str, seed: int, i: int) -> dict[str, Any]:
             simulated.vehicle,
             simulated.telemetry,
             max_rate_rad_s=simulated.max_rate_rad_s,
-            column_tests=kind in WITH_COLUMN_TESTS,
         )
     except SunspinError as error:
         return {

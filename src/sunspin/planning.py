@@ -15,6 +15,7 @@ from sunspin.base.errors import InputError, SunspinError
 from sunspin.base.provenance import provenance, with_units
 from sunspin.compute.pool import process_pool
 from sunspin.environment.orbit import Source
+from sunspin.estimate.observe import middle_sample
 from sunspin.estimate.rates import rates
 from sunspin.estimate.synthetic import SimulatedPass, simulate_pass
 from sunspin.telemetry.synthetic import TIME_STEP_S, generator
@@ -174,6 +175,8 @@ def _judge(setup: PassSetup, intervals: Sequence[float], task: tuple[int, int]) 
             simulated.telemetry,
             max_rate_rad_s=setup.max_rate_rad_s,
             environment=simulated.environment,
+            # a simulated file has the columns of its vehicle
+            column_tests=False,
         )
     except SunspinError as error:
         return PlannedPass(intervals[k], speed, False, False, np.nan, 0, str(error).splitlines()[0])
@@ -190,7 +193,7 @@ def _row_of(
     parts = result["pass_of"].values
     longest = int(np.bincount(parts).argmax())
     first, t = result.isel(pass_id=longest), result["time"].values[parts == longest]
-    middle = t[np.argmin(np.abs(t - (t[0] + t[-1]) / 2))]
+    middle = t[middle_sample(t)]
     truth = simulated.omega_B[np.argmin(np.abs(simulated.telemetry["time"].values - middle))]
     omega, sigma = (
         np.array([float(first[f"{name}_{axis}"].values[0]) for axis in "xyz"])

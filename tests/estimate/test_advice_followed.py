@@ -106,7 +106,7 @@ def test_without_the_sensor_that_is_named_the_rates_are_right():
     data = data.assign(gyro_B=(("time", "axis"), read))
     gyro = Gyro(("x", "y", "z"), 1.0, np.zeros(3), 5e-4, zero_sigma=np.full(3, 2e-4))
     vehicle = replace(CUBE, sensors=Sensors(gyro=gyro))
-    setting = {"max_rate_rad_s": 0.1, "acceleration_noise": 1e-5, "column_tests": True}
+    setting = {"max_rate_rad_s": 0.1, "acceleration_noise": 1e-5}
     bad = rates(vehicle, data, **setting)
     assert not bad["decided"].values[0]
     match = re.search(r"`--without (\w+)` gives the rates of the others", bad.attrs["verdict"])

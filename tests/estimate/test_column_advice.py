@@ -41,7 +41,7 @@ noise = 0.01
 {columns}
 """
 OMEGA = np.array([0.02, -0.03, 0.04])
-LIMIT = {"max_rate_rad_s": 0.15, "column_tests": True}
+LIMIT = {"max_rate_rad_s": 0.15}
 
 
 def text_of(columns=NAMES) -> str:

@@ -15,14 +15,17 @@ from sunspin.estimate.column_tests import (
     Estimators,
     SampleCosts,
     changes_of_sensor,
+    denied_by_the_sun,
     what_fits_better,
 )
 from sunspin.estimate.equivalence import Observed, column_changes
 from sunspin.estimate.rates import rates
-from sunspin.vehicle import Panel, Vehicle
+from sunspin.telemetry.reader import read_telemetry
+from sunspin.vehicle import Panel, Vehicle, load_vehicle
 from sunspin.vehicle.sensors import Attitude, Gyro, Magnetometer, Sensors
 from tests.support import simulate
 from tests.support.vehicles import CUBE_NORMALS
+from validation import spinners
 from validation.passes import make
 
 CUBE = replace(
@@ -189,6 +192,55 @@ def test_a_sensor_that_no_axes_explain_is_named_if_it_contradicts_the_others(nam
     assert isinstance(found, ContradictingSensor)
     assert found.words().startswith(f"without the {found.sensor} the other readings fit")
     assert f"`--without {option}`" in found.words()
+
+
+def allowed_by_the_sun(*offs_rad_s: float, decided: bool = True) -> xr.Dataset:
+    """Return a result of the Sun alone with a solution for each of these errors of the rate along x."""
+    first = motion(off_rad_s=offs_rad_s[0])
+    rates_of_solutions = np.array([[0.02 + off, -0.03, 0.05] for off in offs_rad_s])
+    both = ("pass_id", "solution")
+    columns_of_rates = {
+        f"{name}_{axis}": (both, values[None, :, k])
+        for name, values in (
+            ("omega", rates_of_solutions),
+            ("sigma", 0 * rates_of_solutions + 1e-4),
+        )
+        for k, axis in enumerate("xyz")
+    }
+    flags = {
+        name: ("pass_id", [flag])
+        for name, flag in (("decided", decided), ("search_complete", True))
+    }
+    return first.drop_vars("cost").assign(columns_of_rates | flags)
+
+
+@pytest.mark.parametrize(
+    ("sun", "accused"),
+    [
+        (allowed_by_the_sun(0.0), False),
+        (allowed_by_the_sun(0.002), True),
+        (allowed_by_the_sun(0.002, 0.0, decided=False), False),
+        (allowed_by_the_sun(0.002, 0.004, decided=False), True),
+    ],
+)
+def test_a_magnetometer_is_accused_if_the_sun_alone_allows_no_such_motion(sun, accused):
+    """Of the motions that the Sun allows one agrees, or none. The readings are those of the first: no axes fit better."""
+    data = seen(FIELD)
+    estimators = Estimators(never, lambda *_: sun, Budget(np.inf))
+    cause = denied_by_the_sun(CUBE, data, motion(), estimators)
+    assert cause == (ContradictingSensor("magnetometer") if accused else None)
+
+
+@pytest.mark.evidence("rates", "modelled", "a magnetometer along other axes whose pass fits")
+def test_a_magnetometer_along_other_axes_is_named_though_its_pass_fits(tmp_path):
+    """Its zero takes up the error: the pass was decided more than five sigma off."""
+    spinners.make(spinners.cases(31, 3)[2], tmp_path)
+    craft = load_vehicle(tmp_path / "vehicle.toml")
+    data = read_telemetry(tmp_path / "telemetry.csv", craft)
+    result = rates(craft, data.isel(time=data["time"].values < 1672.0))
+    assert result["fits"].all() and not result["decided"].any()
+    assert result["why_not_decided"].values[0] == "the magnetometer contradicts the other readings"
+    assert "without the magnetometer the other readings fit" in result.attrs["columns_doubt"]
 
 
 def test_no_pass_is_decided_if_a_sensor_contradicts_the_others(monkeypatch):

@@ -36,7 +36,7 @@ def of_satellite(number, order):
     """Return a drawn satellite, and the result of its file with the columns in another order."""
     craft = draw_satellite(*number)
     vehicle, data = files(craft, np.array(order), craft.momenta)
-    return craft, rates(vehicle, data, max_rate_rad_s=0.09, column_tests=True)
+    return craft, rates(vehicle, data, max_rate_rad_s=0.09)
 
 
 def fits_and_names(result, why="columns, signs or axes") -> dict:
@@ -57,7 +57,7 @@ def test_exchanged_columns_are_named_where_reversed_wheels_fit_better_than_the_f
 
 
 def test_exchanged_dark_columns_are_named_with_the_true_rate_though_the_file_fits(spinner):
-    named = fits_and_names(estimate(spinner, column_tests=True))
+    named = fits_and_names(estimate(spinner))
     right = named.pop("the columns of panels -x and -y exchanged")
     at = np.argmin(np.abs(spinner.telemetry["time"].values - right["at_s"]))
     np.testing.assert_allclose(right["omega_deg_s"], np.degrees(spinner.omega[at]), atol=0.3)
@@ -68,7 +68,7 @@ def test_exchanged_dark_columns_are_named_with_the_true_rate_though_the_file_fit
 def test_a_right_file_with_dark_columns_is_not_accused(spinner):
     power = spinner.telemetry["power_W"].values[:, [0, 1, 2, 4, 3, 5]]
     right = spinner.telemetry.assign(power_W=(("time", "panel"), power))
-    result = estimate(spinner._replace(telemetry=right), column_tests=True)
+    result = estimate(spinner._replace(telemetry=right))
     assert is_not_accused(result)
     off = printed_rates(result)[0][0] - spinner.omega[len(spinner.omega) // 2]
     assert np.degrees(np.linalg.norm(off)) < 0.5
@@ -81,7 +81,8 @@ def test_tests_of_dark_columns_that_the_budget_stopped_are_said(spinner):
         raise AssertionError("estimated without a budget")
 
     as_given = assess(spinner.vehicle, spinner.telemetry)
-    result = rates(spinner.vehicle, as_given, max_rate_rad_s=spinner.max_rate_rad_s)
+    limit = spinner.max_rate_rad_s
+    result = rates(spinner.vehicle, as_given, max_rate_rad_s=limit, column_tests=False)
     checked = check_columns(result, as_given, None, fail, RATES, Budget(0.0))
     assert result["fits"].values.all() and "column_tests_cut" not in result.attrs
     assert checked.attrs["column_tests_cut"] == 1
@@ -96,7 +97,8 @@ def test_of_several_passes_the_samples_of_the_longest_decided_one_choose_the_col
     part = whole.isel(time=slice(16)).assign_coords(time=whole["time"].values[:16] + 1e5)
     data = xr.concat([whole, part], "time")
     assessment = assess(spinner.vehicle, data)
-    result = rates(spinner.vehicle, assessment, max_rate_rad_s=spinner.max_rate_rad_s)
+    limit = spinner.max_rate_rad_s
+    result = rates(spinner.vehicle, assessment, max_rate_rad_s=limit, column_tests=False)
     assert result["samples"].values.tolist() == [24, 16]
     asked = []
     monkeypatch.setattr(
@@ -206,14 +208,14 @@ def test_the_log_evidence_of_a_pass_does_not_depend_on_the_order_of_its_panels()
 def test_samples_that_deny_the_columns_leave_a_pass_undecided_without_column_tests():
     """A motion fits a slow pass with two exchanged columns, but the samples, each by itself, do not fit the panels.
 
-    The advice is to estimate with `column_tests=True`: it names the exchange.
+    The advice is to estimate with these tests, which is the default: they name the exchange.
     """
     simulated = make("columns exchanged", 7, 4)
-    result = estimate(simulated)
+    result = estimate(simulated, column_tests=False)
     assert result["fits"].values.all() and not result["decided"].values.any()
     assert SAMPLES_CONTRADICT in str(result["why_not_decided"].values[0])
-    assert "estimate with `column_tests=True`" in result.attrs["columns_doubt"]
-    tested = estimate(simulated, column_tests=True)
+    assert "estimate without `--no-column-tests`" in result.attrs["columns_doubt"]
+    tested = estimate(simulated)
     named = [change["what"] for change in json.loads(tested.attrs["columns_changes"])]
     assert f"the columns of panels {' and '.join(simulated.exchanged)} exchanged" in named
 
@@ -229,7 +231,7 @@ def test_other_columns_are_searched_as_far_as_the_file_as_it_is_written(monkeypa
     monkeypatch.setattr("sunspin.estimate.rates.check_columns", unchanged)
     monkeypatch.setattr("sunspin.estimate.columns.quick_evidence", lambda model, *_: model.rate_max)
     data, _ = tumbling_pass(FOUR_SIDES, 10, 60.0, seed=4)
-    result = rates(FOUR_SIDES, data, column_tests=True)
+    result = rates(FOUR_SIDES, data)
     again, settings, budget = asked
     assert again.keywords["max_rate_rad_s"] is None
     limit = result.attrs["max_rate_rad_s"]

@@ -448,7 +448,9 @@ def _gyro_by_rates(
 ) -> list[Key]:
     """Return the keys of the gyro by the rates without it; none, with a note, if these do not determine them."""
     try:
-        result = rates(vehicle, telemetry.drop_vars("gyro_B"), progress=progress)
+        result = rates(
+            vehicle, telemetry.drop_vars("gyro_B"), column_tests=False, progress=progress
+        )
     except (InputError, MotionError) as error:
         notes.append(f"gyro: not determined, as without it there are no rates: {error}")
         return []

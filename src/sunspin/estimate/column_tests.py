@@ -32,6 +32,7 @@ from sunspin.estimate.equivalence import (
     rate_under,
     wheel_changes,
 )
+from sunspin.estimate.observe import middle_sample
 from sunspin.estimate.settings import FIELD_TURN
 from sunspin.estimate.verdict import DECIDED, in_sigma, misfit
 from sunspin.telemetry.assess import Assessment, assess
@@ -75,6 +76,9 @@ with another rate is not decided."""
 EXCLUDED = float(np.log(99.0))
 """Log evidence (4.6) by which a change must be worse than the file to be excluded at 1 in 100, if both are equally probable before
 the data."""
+
+CONTRADICTING_SIGMAS = 5.0
+"""Two estimates of a rate contradict each other if a component differs by more than this many of its sigmas."""
 
 MOST_RUNS = 3
 """Changes that are estimated in full, at most."""
@@ -250,6 +254,36 @@ def what_fits_better(
     if fits_without_one or not observed.panels:
         return first_cause
     return _other_panels(observed, telemetry, estimators)
+
+
+def denied_by_the_sun(
+    vehicle: Vehicle, telemetry: xr.Dataset, motion: xr.Dataset, estimators: Estimators
+) -> ContradictingSensor | None:
+    """Return the magnetometer if the Sun alone allows no motion of a pass like that with the magnetometer; else None.
+
+    A pass may fit although the axes of the magnetometer are wrong: over a small rotation its zero offset, which is mostly unknown,
+    makes up for them. Which axes are right is not said: with few panels the motion by the Sun alone may be wrong too. `telemetry`:
+    of one pass, without an orbit. `motion`: its rate `omega_B` with the magnetometer, and `omega_cov_B`.
+    """
+    without = estimators.estimate_if_fits(vehicle, telemetry.drop_vars("field_B"))
+    if without is None or not bool(without["search_complete"].values.all()):
+        return None
+    together = motion.sel(time=without["time"].values)
+    omega = together["omega_B"].values
+    variance = np.einsum("nii->ni", together["omega_cov_B"].values)
+    # the most probable motion that the Sun allows is compared at all n samples, the others at the middle one
+    sigma = np.sqrt(variance + np.einsum("nii->ni", without["omega_cov_B"].values))
+    off = np.abs(without["omega_B"].values - omega) / sigma
+    middle = middle_sample(without["time"].values)
+    # rates and their sigmas (solution, 3) of the others; NaN if there are fewer
+    rates, sigmas = (
+        np.stack([without[f"{name}_{axis}"].values[0, 1:] for axis in "xyz"], axis=1)
+        for name in ("omega", "sigma")
+    )
+    off_others = np.abs(rates - omega[middle]) / np.sqrt(sigmas**2 + variance[middle])
+    if off.max() < CONTRADICTING_SIGMAS or (off_others < CONTRADICTING_SIGMAS).all(axis=1).any():
+        return None
+    return ContradictingSensor(SENSORS["field_B"])
 
 
 # ------------------------------------------------------------------------------------------------------ columns of panels, wheels
@@ -454,7 +488,7 @@ def with_equivalents(
 def rate_at_mid_time(result: xr.Dataset) -> tuple[np.ndarray, float]:
     """Return the body rate (3) in rad/s at the sample nearest to the middle of a result, and the time of that sample in s."""
     t = result["time"].values
-    middle = int(np.argmin(np.abs(t - (t[0] + t[-1]) / 2)))
+    middle = middle_sample(t)
     return result["omega_B"].values[middle], float(t[middle])
 
 

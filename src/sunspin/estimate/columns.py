@@ -28,8 +28,10 @@ from sunspin.estimate.column_tests import (
     MOST_SQUARE,
     BetterChanges,
     ChangeWithRate,
+    ContradictingSensor,
     Estimators,
     SampleCosts,
+    denied_by_the_sun,
     rival_exchanges,
     rival_words,
     silent_inputs,
@@ -49,7 +51,13 @@ from sunspin.estimate.equivalence import (
 )
 from sunspin.estimate.images import SAME_SIGMAS
 from sunspin.estimate.model import Body, Model, Noise
-from sunspin.estimate.observe import observe, split_passes, take_samples, wheel_models
+from sunspin.estimate.observe import (
+    middle_sample,
+    observe,
+    split_passes,
+    take_samples,
+    wheel_models,
+)
 from sunspin.estimate.quick import quick_evidence
 from sunspin.estimate.settings import RatesSettings
 from sunspin.estimate.terms.panels import SHADOW_ZERO_SHARE
@@ -71,8 +79,8 @@ SAMPLES_CONTRADICT = "the samples, each by itself, fit other columns far better"
 strong torques among them, none has a change that is better by more than 5 in log likelihood. Of 64 files with two columns exchanged
 50 have one that is better by :data:`~sunspin.estimate.column_tests.WORTH_A_SEARCH`."""
 
-TRY_COLUMNS = "estimate with `column_tests=True` (without `--no-column-tests`), which tries these"
-"""Advice if the caller asked for no column tests: in Python, and on the command line, where only that option prevents them."""
+TRY_COLUMNS = "estimate without `--no-column-tests` (`column_tests=False`); that tries these"
+"""Advice if the caller asked for no column tests."""
 
 COLUMN_SHARE = 8.0
 """Computing budget of the column tests, in budgets of a pass: a quick search takes 2 to 8 % of one, a whole estimate a tenth, and
@@ -122,6 +130,10 @@ def check_columns(
         if costs is not None and "columns_doubt" not in result.attrs:
             least_gain = 0.0 if doubt is None else doubt.gain
             result = _with_rivals(result, observed, telemetry, costs, estimators, least_gain)
+        # the magnetometer is the only sensor whose wrong axes may fit: its zero offset is mostly unknown
+        field_unknown = "field_B" in observed.sensors and not observed.in_orbit
+        if field_unknown and "columns_doubt" not in result.attrs:
+            result = _with_field_compared(result, observed, telemetry, estimators)
     if contradicted and "columns_doubt" not in result.attrs:
         advice = "" if again is not None else f": {TRY_COLUMNS}"
         result = _undecided(result, SAMPLES_CONTRADICT)
@@ -238,12 +250,37 @@ def _with_other_columns(
     unfitted = np.flatnonzero(~result["fits"].values)
     of_pass = samples_of(result, telemetry, _longest(result, unfitted if len(unfitted) else None))
     observed_in_pass = what_was_observed(observed.vehicle, of_pass, result.attrs)
-    better = what_fits_better(observed_in_pass, of_pass, estimators)
+    return _with_cause(result, what_fits_better(observed_in_pass, of_pass, estimators))
+
+
+def _with_field_compared(
+    result: xr.Dataset, observed: Observed, telemetry: xr.Dataset, estimators: Estimators
+) -> xr.Dataset:
+    """Return the result with no pass decided if the Sun alone shows another motion of the longest decided pass.
+
+    The result is returned as it is if no Sun was read.
+    """
+    if not (observed.panels or "sun_sensor_B" in observed.sensors):
+        return result
+    decided = np.flatnonzero(result["decided"].values)
+    if not len(decided):
+        return result
+    k = _longest(result, decided)
+    of_pass = samples_of(result, telemetry, k)
+    motion = result[["omega_B", "omega_cov_B"]].isel(time=result["pass_of"].values == k)
+    return _with_cause(result, denied_by_the_sun(observed.vehicle, of_pass, motion, estimators))
+
+
+def _with_cause(
+    result: xr.Dataset, better: BetterChanges | ContradictingSensor | None
+) -> xr.Dataset:
+    """Return the result with no pass decided, and the changes or the sensor that are the cause named; as it is if there is none."""
     if better is None:
         return result
     if isinstance(better, BetterChanges):
         return _with_named_changes(_undecided(result, "columns, signs or axes"), better)
-    # it acts in all passes: of a spinner whose magnetometer was read along other axes two of four passes fitted, far from the truth
+    # the sensor acts in all passes: of a spinner whose magnetometer was read along other axes two of four passes fitted, far from
+    # the truth
     doubted = _undecided(result, f"the {better.sensor} contradicts the other readings")
     return doubted.assign_attrs(columns_doubt=better.words())
 
@@ -421,7 +458,7 @@ def _with_doubted_wheels(
     candidates = [candidate for candidate in candidates if candidate.what != change.what]
     same = equivalent_changes(replace(observed, sun_B=doubt.sun_B), change, candidates)
     # the rate at the sample nearest to the middle of the pass
-    middle = int(np.argmin(np.abs(doubt.t_s - (doubt.t_s[0] + doubt.t_s[-1]) / 2)))
+    middle = middle_sample(doubt.t_s)
     omega, at_s = doubt.omega[middle], float(doubt.t_s[middle])
     changes = (
         ChangeWithRate(change, omega),

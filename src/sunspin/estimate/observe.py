@@ -385,6 +385,11 @@ def _why_unused(readings: FileReadings) -> str:
     return f"{count} dropped: {reason}; `sunspin check` says why samples are dropped"
 
 
+def middle_sample(t_s: np.ndarray) -> int:
+    """Return the index of the sample that is nearest to the middle between the first and the last of the times `t_s` (n)."""
+    return int(np.argmin(np.abs(t_s - (t_s[0] + t_s[-1]) / 2)))
+
+
 def take_samples(telemetry: xr.Dataset, samples: np.ndarray) -> xr.Dataset:
     """Return some samples (indices) of a file, with the time from which its wheels may coast: its first sample."""
     return telemetry.isel(time=samples).assign_attrs({COAST_FROM: _coast_from_s(telemetry)})

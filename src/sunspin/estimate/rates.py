@@ -94,7 +94,7 @@ def rates(
     calibration: FieldCalibration | None = None,
     torques: Sequence[str] = (),
     periods: Sequence[PeriodSeen] = (),
-    column_tests: bool = False,
+    column_tests: bool = True,
     effort: float = 1.0,
     workers: int = 1,
     progress: bool | Callable[[str], None] = False,
@@ -135,7 +135,8 @@ def rates(
     column_tests : bool
         If a pass does not fit, try other columns, axes and signs of panels and sensors on the one with the most samples
         (:mod:`sunspin.estimate.column_tests`), and name what fits; this takes up to minutes. So too if panels alone fit, but their
-        samples, each by itself, fit other columns far better, or as well.
+        samples, each by itself, fit other columns far better, or as well. Without these tests a pass whose columns are exchanged
+        may be decided: switch them off only if the columns are known to be right.
     effort : float
         Computing budget of each pass; one is usual. If it does not suffice the best so far is kept, and the pass is not decided.
     workers : int
@@ -178,6 +179,7 @@ def rates(
         source=None if readings.source == "directions" else readings.source,
         max_rate_rad_s=max_rate_rad_s,
         gap_s=np.inf,
+        column_tests=False,
         environment=environment,
         calibration=calibration,
         torques=torques,

@@ -18,7 +18,12 @@ from sunspin.estimate.carry import RATE, TURN
 from sunspin.estimate.dense import curve
 from sunspin.estimate.images import either_side
 from sunspin.estimate.model import Model
-from sunspin.estimate.observe import FileReadings, Pass, wheels_of_unknown_speed
+from sunspin.estimate.observe import (
+    FileReadings,
+    Pass,
+    middle_sample,
+    wheels_of_unknown_speed,
+)
 from sunspin.estimate.solutions import Solutions
 from sunspin.estimate.terms.directions import SunDirections
 from sunspin.estimate.terms.field import FieldDirection, KnownField
@@ -303,7 +308,7 @@ def verdict_variables(
     rows, begin = [], 0  # index on `time` of the first sample of the pass
     for k, (of_pass, left_open) in enumerate(zip(solved, left_open_of, strict=True)):
         t_s = of_pass.obs.t_s
-        mid = int(np.argmin(np.abs(t_s - (t_s[0] + t_s[-1]) / 2)))
+        mid = middle_sample(t_s)
         on_time = slice(begin, begin + len(t_s))
         begin += len(t_s)
         by_sensor = {}

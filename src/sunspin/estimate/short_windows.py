@@ -17,7 +17,7 @@ import xarray as xr
 
 from sunspin.base.errors import InputError
 from sunspin.estimate.model import Body
-from sunspin.estimate.observe import take_samples, wheel_models
+from sunspin.estimate.observe import middle_sample, take_samples, wheel_models
 from sunspin.estimate.rates import rates
 from sunspin.estimate.settings import RATES, RatesSettings
 from sunspin.estimate.verdict import join_reasons
@@ -139,7 +139,7 @@ def _windows_of(
     omega = np.stack([result[f"omega_{axis}"].values[:, 0] for axis in "xyz"], axis=1)
     sigma = np.stack([result[f"sigma_{axis}"].values[:, 0] for axis in "xyz"], axis=1)
     times = [result["time"].values[result["pass_of"].values == k] for k in range(count)]
-    middle = [float(t[np.argmin(np.abs(t - (t[0] + t[-1]) / 2))]) for t in times]
+    middle = [float(t[middle_sample(t)]) for t in times]
     return xr.Dataset(
         {
             "window_time": ("window", middle),

@@ -11,6 +11,7 @@ import numpy as np
 
 from sunspin.environment.frames import J2000, SUN_Z_LOCAL
 from sunspin.estimate.model import AS_STATED
+from sunspin.estimate.observe import middle_sample
 from sunspin.estimate.periods import FAR_SIGMAS, LEAST_DRAWS, ROTATIONS
 from sunspin.estimate.verdict import upper_text
 from sunspin.output.compared import compared_drawings, compared_summary, compared_tables
@@ -78,7 +79,7 @@ def rate_at(result: Any, k: int) -> RateAt:
     samples = np.flatnonzero(result["pass_of"].values == k)
     t, omega = result["time"].values[samples], np.degrees(result["omega_B"].values[samples])
     speed = np.linalg.norm(omega, axis=1)
-    middle = int(np.argmin(np.abs(t - (t[0] + t[-1]) / 2)))
+    middle = middle_sample(t)
     variance = np.diagonal(result["omega_cov_B"].values[samples[middle]])
     # The covariance of samples is that of the likeliest solution. The sigmas of the mean rate, over all solutions and of the
     # likeliest one, give the additional variance from the other solutions.
