@@ -438,8 +438,9 @@ def fit(
     half_log_det = inverse.log_determinant / 2
     _, log_width_of_torques = whitening(model.noise, np.diff(model.obs.t_s))
     log_evidence = model.log_prior - system.cost - half_log_det - log_width_of_torques
-    # a fit that did not reach a minimum may have no determinant: then it has no evidence
-    log_evidence = np.where(np.isfinite(log_evidence), log_evidence, -np.inf)
+    # A fit that did not reach a minimum may have no determinant, or negative variances by rounding: then it has no evidence.
+    valid = np.isfinite(log_evidence) & (np.einsum("knii->kni", inverse.nodes) > 0).all(axis=(1, 2))
+    log_evidence = np.where(valid, log_evidence, -np.inf)
     return Fit(model, fitted, log_evidence, inverse.border, inverse.sensitivity)
 
 
