@@ -31,6 +31,11 @@ STYLES = {
     "PXp_W": ("power_W", 1.0, "P{AXIS}{sign:pm}_W"),
     "+X power (mW)": ("power_W", 0.001, "{sign:+-}{AXIS} power (mW)"),
     "sunX+": ("power_W", 1.0, "sun{AXIS}{sign:+-}"),
+    "I_+X [µA]": ("current_A", 1e-6, "I_{sign:+-}{AXIS} [µA]"),
+    "Current +X (Amps)": ("current_A", 1.0, "Current {sign:+-}{AXIS} (Amps)"),
+    "I+X / mA": ("current_A", 0.001, "I{sign:+-}{AXIS} / mA"),
+    "mA_px": ("current_A", 0.001, "mA_{sign:pm}{axis}"),
+    "+X power (milliwatts)": ("power_W", 0.001, "{sign:+-}{AXIS} power (milliwatts)"),
 }
 """Name of the column of +X -> quantity, scale, and the form of all names."""
 
@@ -164,7 +169,7 @@ def test_temperatures_below_zero_are_no_angles(folder):
     rows = "".join(f"2026-01-01T00:{k:02d}:00Z,{k - 10},{10 - k}\n" for k in range(20))
     (folder / "export.csv").write_text(f"time,T_px,T_mx\n{rows}", "utf-8")
     done = CliRunner().invoke(cli, ["init", "mine", "--from", "export.csv"])
-    assert "no columns look like times and panels" in str(done.exception)
+    assert "no columns look like currents or powers of panels" in str(done.exception)
 
 
 @pytest.mark.parametrize(
@@ -174,6 +179,9 @@ def test_temperatures_below_zero_are_no_angles(folder):
         ("17672256{:02d}000", ['time_format = "unix"', "time_scale_s = 0.001"]),
         ("1{:02d}", ['time_format = "elapsed"', "REPLACE by the UTC of time zero"]),
         ("2026/01/01 00:00:{:02d} UTC", ['time_format = "utc"']),
+        ("46023.000{:02d}", ['epoch_utc = "1899-12-30T00:00:00Z"', "time_scale_s = 86400"]),
+        ("31/01/2026 00:00:{:02d}", ['time_format = "utc"', "day_first = true"]),
+        ("03/01/2026 00:00:{:02d}", ["day_first = true ", "# check this"]),
     ],
 )
 def test_the_form_of_times_follows_from_their_size(cells, lines, folder):
@@ -183,15 +191,44 @@ def test_the_form_of_times_follows_from_their_size(cells, lines, folder):
     assert all(line in printed for line in lines)
 
 
-@pytest.mark.parametrize("header", ["t,mx,my,mz", "t,a,b,c", "a,px,nx,b"])
-def test_nothing_is_suggested_where_names_say_nothing(header, folder):
+@pytest.mark.parametrize(
+    ("header", "what"),
+    [
+        ("t,mx,my,mz", "currents or powers"),
+        ("t,a,b,c", "currents or powers"),
+        ("a,px,nx,b", "times"),
+    ],
+)
+def test_nothing_is_suggested_where_names_say_nothing(header, what, folder):
     """A magnetometer has three axes and no signs; a file without times cannot be read."""
     date = "2026-01-01T00:00:00Z" if header[0] == "t" else "noon"
     (folder / "export.csv").write_text(f"{header}\n{date},1,2,3\n", "utf-8")
     assert "[telemetry]" not in check_is_refused("vehicle.toml", "export.csv")
     done = CliRunner().invoke(cli, ["init", "mine", "--from", "export.csv"])
-    assert "no columns look like times and panels on two faces" in str(done.exception)
+    assert f"no columns look like {what}" in str(done.exception)
     assert not (folder / "mine").exists()
+
+
+@pytest.mark.parametrize("cell", ["412 mA", "0x1f", "'412'"])
+def test_columns_of_panels_without_numbers_are_named_with_a_cell(cell, folder):
+    (folder / "export.csv").write_text(f"time,iXp,iXm\n2026-01-01,{cell},{cell}\n", "utf-8")
+    done = CliRunner().invoke(cli, ["init", "mine", "--from", "export.csv"])
+    assert "column 'iXp' may be of a panel, but its cells are not numbers" in str(done.exception)
+    assert cell in str(done.exception)
+
+
+@pytest.mark.parametrize("date", ["2026-01-31", "31.01.2026", "31/01/2026", "01/31/26"])
+def test_a_date_and_a_time_of_day_in_two_columns_and_a_row_of_units_are_read(date, folder):
+    """Dates alone were taken as times: all samples at midnight."""
+    rows = "".join(f"{date},09:15:{k:02d}.125,{300 + k},{200 - k}\n" for k in range(20))
+    (folder / "export.csv").write_text(f"Date,Time,iXp,iXm\n,,mA,mA\n{rows}", "utf-8")
+    done = CliRunner().invoke(cli, ["init", "mine", "--from", "export.csv"])
+    assert done.exit_code == 0, done.output
+    craft = ss.load_vehicle(folder / "mine" / "vehicle.toml")
+    data = ss.read_telemetry(folder / "export.csv", craft)
+    assert data.attrs["epoch_utc"] == "2026-01-31T09:15:00.125000Z"
+    np.testing.assert_allclose(data["time"], np.arange(20))
+    np.testing.assert_allclose(data["current_A"].sel(panel="+X"), 0.3 + 0.001 * np.arange(20))
 
 
 def export_with_sensors() -> str:

@@ -14,8 +14,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sunspin.base.tables import TextTable
+from sunspin.base.tables import DECIMAL_COMMA, THOUSANDS, TextTable
 from sunspin.base.untrusted import plain_number
+from sunspin.telemetry.dates import TIME_OF_DAY, find_day_first, has_no_order, rewrite_date
 from sunspin.telemetry.layout import pivot_series
 from sunspin.telemetry.times import parse_utc
 
@@ -23,8 +24,8 @@ PLUS = ("+", "p", "pos", "plus", "positive")
 """Words for the plus side of an axis; the other signs of `FACE` are those of its minus side."""
 
 FACE = re.compile(
-    r"(?<![a-z])(?:(?P<before>[+-]|pos|plus|positive|neg|minus|negative|[pmn])[ _]*(?P<first>[xyz])"
-    r"|(?P<second>[xyz])[ _]*(?P<after>[+-]|pos|plus|positive|neg|minus|negative|[pmn]))(?![a-z])"
+    r"(?:(?P<before>[+-]|(?<![a-z])(?:pos|plus|positive|neg|minus|negative|[pmn]))[ _]*(?P<first>[xyz])"
+    r"|(?<![a-z])(?P<second>[xyz])[ _]*(?P<after>[+-]|pos|plus|positive|neg|minus|negative|[pmn]))(?![a-z])"
 )
 """A face in a name in small letters whose words are separated by blanks: the sign before or after the axis."""
 
@@ -34,8 +35,12 @@ UNITS = {
     "ua": ("current_A", 1e-6),
     "w": ("power_W", 1.0),
     "mw": ("power_W", 1e-3),
+    "uw": ("power_W", 1e-6),
 }
 """Unit in small letters -> quantity, and its size in A or W."""
+
+UNIT_WORD = re.compile(r"(?P<prefix>milli|micro|)(?:(?P<A>amp(?:ere)?s?)|(?P<W>watts?))")
+"""A unit of currents or powers as a word, in small letters."""
 
 WORDS = {
     "current_A": ("i", "cur", "curr", "current", "currents", "amp", "amps", "isol"),
@@ -89,12 +94,15 @@ SENSOR_UNITS = {
         "°/s": 1 / DEG_PER_RAD,
         "rad/s": 1.0,
     },
-    "magnetometer": {"nt": 1e-9, "ut": 1e-6, "µt": 1e-6, "mg": 1e-7, "t": 1.0},
+    "magnetometer": {"nt": 1e-9, "ut": 1e-6, "mg": 1e-7, "t": 1.0},
 }
 """Table of the vehicle file -> unit in small letters -> its size in rad/s or T."""
 
 FIRST_UNIX_S, LAST_UNIX_S = 9e8, 5e9
 """Unix times of satellites with such telemetry, s: from 1998 to 2128."""
+
+FIRST_DAY, LAST_DAY, MOST_DAYS = 35_000.0, 62_000.0, 0.05
+"""Days of a spreadsheet from 1995 to 2069, and the largest interval of samples: as seconds it would be shorter than any."""
 
 READ_SHARE = 0.5
 """Share of the cells that must be dates or numbers for a column to be taken as one of times or readings."""
@@ -185,6 +193,23 @@ def suggest_section(table: TextTable, panels: dict[str, str] | None = None) -> S
     return Suggestion("\n".join(lines) + "\n", group.columns, largest, _sensor_columns(table, used))
 
 
+def explain_missing(table: TextTable) -> tuple[str, str]:
+    """Return in words why no section is suggested for a table (times, panels or numbers are missing), and what to do."""
+    for column in table.header:
+        cell = next((cell.strip() for cell in table.cells[column] if cell.strip()), "")
+        is_face = FACE.search(_words(_split_unit(column)[0])) is not None
+        if is_face and any(map(str.isdigit, cell)) and not _is_numeric(table, column):
+            what = f"column {column!r} may be of a panel, but its cells are not numbers, such as {cell[:30]!r}"
+            return what, "write plain decimals, such as -1.5e-3"
+    times = "times" if _time_column(table) is None else ""
+    panels = "" if _best_group(table) else "currents or powers of panels on two faces"
+    do = (
+        "names such as `time` or `ts_ms`, `px`, `I_X+ [mA]` are recognised: rename the columns, or write [telemetry] by hand "
+        "(`sunspin init DIR` has an example)"
+    )
+    return f"no columns look like {' and '.join(filter(None, (times, panels)))}", do
+
+
 def _sensor_columns(table: TextTable, used: set[str]) -> dict[str, AxisColumns]:
     """Return the columns of a gyro and of a magnetometer by the words in their names, without the columns in `used`.
 
@@ -202,7 +227,7 @@ def _sensor_columns(table: TextTable, used: set[str]) -> dict[str, AxisColumns]:
         if len(columns) < 3:
             continue
         words = set(re.findall(r"[a-z]+", template))
-        _, unit = _split_unit(columns["x"])
+        _, unit = _unit_of(table, columns["x"])
         for sensor, known in SENSOR_WORDS.items():
             if sensor not in sensors and words & set(known):
                 sizes = SENSOR_UNITS[sensor]
@@ -225,12 +250,29 @@ def toml_string(name: str) -> str:
 def _split_unit(name: str) -> tuple[str, str]:
     """Return the name of a column without its unit, and the unit in small letters, empty if there is none.
 
-    The unit is in brackets, or the last word after a blank, underscore or dot. As a word, A and W are written in capital letters.
+    The unit is in brackets, or the last word after a blank, underscore, dot, comma or slash, or the first one. As a word, A and W
+    are written in capital letters, and are no first word.
     """
+    if first := re.fullmatch(r"([muµμ][AW])[_ .]+(.*)", name):
+        name = f"{first[2]} {first[1]}"
     match = re.fullmatch(r"(.*?)\s*[\[(]([^\])]*)[\])]\s*", name) or re.fullmatch(
-        r"(.*)[_ .](mA|ma|uA|ua|A|mW|mw|W|deg|rad)", name
+        r"(.*?)\s*[_ .,/]\s*([muµμ]A|[mu]a|A|[muµμ]W|[mu]w|W|deg|rad)", name
     )
-    return (match[1], match[2].strip().lower()) if match else (name, "")
+    return (match[1], _plain_unit(match[2])) if match else (name, "")
+
+
+def _plain_unit(text: str) -> str:
+    """Return a unit in small letters, with u for micro and one spelling of ampere and watt."""
+    unit = text.strip(" []()").lower().replace("µ", "u").replace("μ", "u")
+    if word := UNIT_WORD.fullmatch(unit):
+        unit = {"milli": "m", "micro": "u", "": ""}[word["prefix"]] + ("a" if word["A"] else "w")
+    return unit
+
+
+def _unit_of(table: TextTable, column: str) -> tuple[str, str]:
+    """Return the name of a column without its unit, and the unit by its name or by the row of units, empty if there is none."""
+    name, unit = _split_unit(column)
+    return name, unit or _plain_unit(table.units.get(column, ""))
 
 
 def _judge_angles(
@@ -291,7 +333,7 @@ def _best_group(table: TextTable) -> _Group | None:
     """Return the group of columns that are most probably currents or powers of panels; None if no group has two faces."""
     groups: dict[tuple[str, str], dict[str, str]] = defaultdict(dict)
     for column in table.header:
-        name, unit = _split_unit(column)
+        name, unit = _unit_of(table, column)
         words = _words(name)
         face = FACE.search(words)
         if face is None or not _is_numeric(table, column):
@@ -335,9 +377,14 @@ def _judge_quantity(
 
 
 def _is_numeric(table: TextTable, column: str) -> bool:
-    """Return whether enough cells of a column are numbers."""
+    """Return whether enough cells of a column are numbers, also with commas or thousands separators, which are refused later."""
     cells = [cell for cell in table.cells[column] if cell.strip()]
-    return bool(cells) and np.isfinite([plain_number(c) for c in cells]).mean() >= READ_SHARE
+    numbers = [
+        np.isfinite(plain_number(cell))
+        or any(notation.fullmatch(cell) for notation in (DECIMAL_COMMA, THOUSANDS))
+        for cell in cells
+    ]
+    return bool(cells) and float(np.mean(numbers)) >= READ_SHARE
 
 
 def _time_column(table: TextTable) -> tuple[str, list[str]] | None:
@@ -346,12 +393,32 @@ def _time_column(table: TextTable) -> tuple[str, list[str]] | None:
     for place, column in enumerate(table.header):
         words = set(re.findall(r"[a-z]+", _words(column)))
         by_name = [k for k, word in enumerate(TIME_WORDS) if word in words]
-        lines = _describe_times(table.cells[column].tolist(), bool(by_name))
+        cells = table.cells[column].tolist()
+        lines = _describe_times(cells, bool(by_name))
         if lines is not None:
-            # dates before numbers, then by the name, then the first
             is_date = lines[0].startswith('time_format = "utc"')
-            ranked.append((not is_date, min(by_name, default=99), place, column, lines))
-    return min(ranked)[3:] if ranked else None
+            # dates with times of day before dates alone, these before numbers, then by the name, then the first
+            rank = 2 - is_date * (2 if any(":" in cell or "T" in cell for cell in cells) else 1)
+            ranked.append((rank, min(by_name, default=99), place, column, lines))
+    if not ranked:
+        return None
+    rank, _, _, column, lines = min(ranked)
+    if rank == 1 and (clock := _clock_column(table)) is not None:
+        return clock, [_entry(f"date_column = {toml_string(column)}", ""), *lines]
+    return column, lines
+
+
+def _clock_column(table: TextTable) -> str | None:
+    """Return the first column of times of day without dates; None if there is none."""
+    for column in table.header:
+        cells = [cell.strip().lower() for cell in table.cells[column] if cell.strip()]
+        if (
+            cells
+            and np.mean([bool(TIME_OF_DAY.fullmatch(cell)) and ":" in cell for cell in cells])
+            >= READ_SHARE
+        ):
+            return column
+    return None
 
 
 def _describe_times(cells: list[str], is_named: bool) -> list[str] | None:
@@ -359,9 +426,17 @@ def _describe_times(cells: list[str], is_named: bool) -> list[str] | None:
     filled = [cell.strip() for cell in cells if cell.strip()]
     if not filled:
         return None
-    dates = sum(parse_utc(cell) is not None for cell in filled if not cell.isdigit())
+    day_first = find_day_first(filled)
+    ordered = [rewrite_date(cell, day_first is not False) for cell in filled]
+    dates = sum(parse_utc(cell) is not None for cell in ordered if not cell.isdigit())
     if dates >= READ_SHARE * len(filled):
-        return [_entry('time_format = "utc"', "dates; add time_zone if they are local times")]
+        lines = [_entry('time_format = "utc"', "dates; add time_zone if they are local times")]
+        if any(has_no_order(cell) for cell in filled):
+            guess = "day before month, or false; by the dates"
+            if day_first is None:
+                guess = "check this: day before month, or false; the dates do not show it"
+            lines.append(_entry(f"day_first = {str(day_first is not False).lower()}", guess))
+        return lines
     numbers = np.array([plain_number(cell) for cell in filled])
     known = numbers[np.isfinite(numbers)]
     if not is_named or len(known) < READ_SHARE * len(filled):
@@ -371,6 +446,14 @@ def _describe_times(cells: list[str], is_named: bool) -> list[str] | None:
         if FIRST_UNIX_S < typical * scale < LAST_UNIX_S:
             scaled = [] if scale == 1 else [_entry(f"time_scale_s = {scale:g}", unit)]
             return [_entry('time_format = "unix"', f"{unit} since 1970"), *scaled]
+    steps = np.abs(np.diff(known))
+    if FIRST_DAY < typical < LAST_DAY and np.any(steps) and np.median(steps[steps > 0]) < MOST_DAYS:
+        return [
+            _entry('time_format = "elapsed"', "days since 1899-12-30, as in spreadsheets"),
+            _entry('epoch_utc = "1899-12-30T00:00:00Z"', "check this: or local time"),
+            _entry("time_scale_s = 86400", "days"),
+            _entry("counts_leap_seconds = false", ""),
+        ]
     return [
         _entry('time_format = "elapsed"', "the numbers are too small for dates"),
         _entry('epoch_utc = "2000-01-01T00:00:00Z"', "REPLACE by the UTC of time zero"),
