@@ -209,6 +209,18 @@ def test_nothing_is_suggested_where_names_say_nothing(header, what, folder):
     assert not (folder / "mine").exists()
 
 
+@pytest.mark.parametrize("fill", ["65535", "-999"])
+def test_fill_values_say_nothing_on_the_unit_of_a_column(fill, folder):
+    """Currents in A were taken as mA, and every panel as lit."""
+    rows = [f"2026-01-01T00:00:{k:02d}Z,0.4{k:02d},0.001" for k in range(20)]
+    rows[3] = f"2026-01-01T00:00:03Z,{fill},{fill}"
+    (folder / "export.csv").write_text("\n".join(["time,i_px,i_mx", *rows]), "utf-8")
+    assert CliRunner().invoke(cli, ["init", "mine", "--from", "export.csv"]).exit_code == 0
+    text = (folder / "mine" / "vehicle.toml").read_text("utf-8")
+    assert "A, guessed by the size (up to 0.419)" in text and "it reads hardly anything" in text
+    assert ss.load_vehicle(folder / "mine" / "vehicle.toml").telemetry.scale == 1.0
+
+
 @pytest.mark.parametrize("cell", ["412 mA", "0x1f", "'412'"])
 def test_columns_of_panels_without_numbers_are_named_with_a_cell(cell, folder):
     (folder / "export.csv").write_text(f"time,iXp,iXm\n2026-01-01,{cell},{cell}\n", "utf-8")

@@ -18,6 +18,7 @@ from sunspin.base.tables import DECIMAL_COMMA, THOUSANDS, TextTable
 from sunspin.base.untrusted import plain_number
 from sunspin.telemetry.dates import TIME_OF_DAY, find_day_first, has_no_order, rewrite_date
 from sunspin.telemetry.layout import pivot_series
+from sunspin.telemetry.sensors import read_numbers
 from sunspin.telemetry.times import parse_utc
 
 PLUS = ("+", "p", "pos", "plus", "positive")
@@ -185,7 +186,7 @@ def suggest_section(table: TextTable, panels: dict[str, str] | None = None) -> S
             f"# perhaps panels whose names say no face, such as wings; each needs a [[panel]]: {names}"
         )
     largest = {
-        face: group.scale * float(np.nanmax(table.numbers([column]), initial=-np.inf))
+        face: group.scale * float(np.nanmax(read_numbers(table, [column]), initial=-np.inf))
         for face, column in group.columns.items()
     }
     if group.quantity in ANGLE_WORDS:
@@ -287,7 +288,7 @@ def _judge_angles(
     other_words = {word for known in WORDS.values() for word in known}
     if (unit and unit not in ANGLE_UNITS) or (not named and words & other_words):
         return None
-    value = {face: table.numbers([column])[:, 0] for face, column in columns.items()}
+    value = {face: read_numbers(table, [column])[:, 0] for face, column in columns.items()}
     largest = max(float(np.nanmax(np.abs(one), initial=0.0)) for one in value.values())
     below = any(np.nanmin(one, initial=0.0) < -0.1 * largest for one in value.values())
     pairs = [(value.get(f"+{axis}"), value.get(f"-{axis}")) for axis in "XYZ"]
@@ -368,7 +369,7 @@ def _judge_quantity(
     if words & set(COUNT_WORDS):
         return "current_A", 1.0, "raw counts: A in this file and in what is printed means counts"
     quantity = next((name for name in quantities if name), "power_W")
-    largest = float(np.nanmax(table.numbers(list(columns.values())), initial=0.0))
+    largest = float(np.nanmax(read_numbers(table, list(columns.values())), initial=0.0))
     letter = quantity[-1]
     guess = "check this: no column says what it holds; " if not any(quantities) else ""
     if largest > MILLI:
