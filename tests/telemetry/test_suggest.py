@@ -35,6 +35,11 @@ STYLES = {
     "Current +X (Amps)": ("current_A", 1.0, "Current {sign:+-}{AXIS} (Amps)"),
     "I+X / mA": ("current_A", 0.001, "I{sign:+-}{AXIS} / mA"),
     "mA_px": ("current_A", 0.001, "mA_{sign:pm}{axis}"),
+    "IXP": ("current_A", 0.001, "I{AXIS}{sign:PM}"),
+    "PXP_mW": ("power_W", 0.001, "P{AXIS}{sign:PM}_mW"),
+    "Panel X (+) current [mA]": ("current_A", 0.001, "Panel {AXIS} ({sign:+-}) current [mA]"),
+    "I[+X]": ("current_A", 0.001, "I[{sign:+-}{AXIS}]"),
+    "+X [%]": ("power_W", 0.01, "{sign:+-}{AXIS} [%]"),
     "+X power (milliwatts)": ("power_W", 0.001, "{sign:+-}{AXIS} power (milliwatts)"),
 }
 """Name of the column of +X -> quantity, scale, and the form of all names."""
@@ -219,6 +224,14 @@ def test_fill_values_say_nothing_on_the_unit_of_a_column(fill, folder):
     text = (folder / "mine" / "vehicle.toml").read_text("utf-8")
     assert "A, guessed by the size (up to 0.419)" in text and "it reads hardly anything" in text
     assert ss.load_vehicle(folder / "mine" / "vehicle.toml").telemetry.scale == 1.0
+
+
+@pytest.mark.parametrize("name", ["TX{}", "VX{}", "U_{}X [V]", "T_{}X_raw", "mag_x{}"])
+def test_columns_of_other_readings_of_a_panel_are_no_currents(name, folder):
+    names = f"{name.format('P')},{name.format('M')}"
+    (folder / "export.csv").write_text(f"time,{names}\n2026-01-01,20,30\n", "utf-8")
+    done = CliRunner().invoke(cli, ["init", "mine", "--from", "export.csv"])
+    assert "no columns look like currents or powers" in str(done.exception)
 
 
 @pytest.mark.parametrize("cell", ["412 mA", "0x1f", "'412'"])

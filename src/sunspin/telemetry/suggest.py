@@ -25,27 +25,32 @@ PLUS = ("+", "p", "pos", "plus", "positive")
 """Words for the plus side of an axis; the other signs of `FACE` are those of its minus side."""
 
 FACE = re.compile(
-    r"(?:(?P<before>[+-]|(?<![a-z])(?:pos|plus|positive|neg|minus|negative|[pmn]))[ _]*(?P<first>[xyz])"
-    r"|(?<![a-z])(?P<second>[xyz])[ _]*(?P<after>[+-]|pos|plus|positive|neg|minus|negative|[pmn]))(?![a-z])"
+    r"(?:(?P<before>[+-]|{begin}(?:pos|plus|positive|neg|minus|negative|[pmn]))[ _]*(?P<first>[xyz])"
+    r"|{begin}(?P<second>[xyz])[ _(]*(?P<after>[+-]|pos|plus|positive|neg|minus|negative|[pmn]))(?![a-z])".replace(
+        "{begin}", r"(?:(?<![a-z])|(?<=(?<![a-z])[iptuv]))"
+    )
 )
-"""A face in a name in small letters whose words are separated by blanks: the sign before or after the axis."""
+"""A face in a name in small letters whose words are separated by blanks: the sign before or after the axis. One letter may stand
+before it, as in IXP (current), PXP (power) or TXP."""
 
 UNITS = {
     "a": ("current_A", 1.0),
     "ma": ("current_A", 1e-3),
     "ua": ("current_A", 1e-6),
+    "na": ("current_A", 1e-9),
     "w": ("power_W", 1.0),
     "mw": ("power_W", 1e-3),
     "uw": ("power_W", 1e-6),
+    "%": ("power_W", 0.01),
 }
 """Unit in small letters -> quantity, and its size in A or W."""
 
-UNIT_WORD = re.compile(r"(?P<prefix>milli|micro|)(?:(?P<A>amp(?:ere)?s?)|(?P<W>watts?))")
+UNIT_WORD = re.compile(r"(?P<prefix>milli|micro|)(?:(?P<A>amp(?:[eè]re)?s?)|(?P<W>watts?))")
 """A unit of currents or powers as a word, in small letters."""
 
 WORDS = {
     "current_A": ("i", "cur", "curr", "current", "currents", "amp", "amps", "isol"),
-    "power_W": ("pwr", "power", "watt", "watts"),
+    "power_W": ("p", "pwr", "power", "watt", "watts"),
     "": (
         *("v", "u", "volt", "volts", "voltage", "voltages", "vsol", "mv"),
         *("t", "tmp", "temp", "temps", "temperature", "degc", "c", "k"),
@@ -256,7 +261,10 @@ def _split_unit(name: str) -> tuple[str, str]:
     """
     if first := re.fullmatch(r"([muµμ][AW])[_ .]+(.*)", name):
         name = f"{first[2]} {first[1]}"
-    match = re.fullmatch(r"(.*?)\s*[\[(]([^\])]*)[\])]\s*", name) or re.fullmatch(
+    in_brackets = re.fullmatch(r"(.*?)\s*[\[(]([^\])]*)[\])]\s*", name)
+    if in_brackets and FACE.fullmatch(in_brackets[2].strip().lower()):  # such as I[+X]
+        return name, ""
+    match = in_brackets or re.fullmatch(
         r"(.*?)\s*[_ .,/]\s*([muµμ]A|[mu]a|A|[muµμ]W|[mu]w|W|deg|rad)", name
     )
     return (match[1], _plain_unit(match[2])) if match else (name, "")
@@ -360,13 +368,14 @@ def _judge_quantity(
     """Return quantity, size of the unit and the reason for a group; an empty quantity if it is neither current nor power."""
     if unit in UNITS:
         return *UNITS[unit], f"{unit.replace('w', 'W').replace('a', 'A')}, by the header"
-    words = set(re.findall(r"[a-z]+", template))
-    if (angles := _judge_angles(table, words, unit, columns)) is not None:
+    words, in_counts = set(re.findall(r"[a-z]+", template)), unit in COUNT_WORDS
+    angles = None if in_counts else _judge_angles(table, words, unit, columns)
+    if angles is not None:
         return angles
     quantities = [name for name, known in WORDS.items() if words & set(known)]
-    if unit or quantities == [""]:
+    if (unit and not in_counts) or quantities == [""]:
         return "", 1.0, ""
-    if words & set(COUNT_WORDS):
+    if in_counts or words & set(COUNT_WORDS):
         return "current_A", 1.0, "raw counts: A in this file and in what is printed means counts"
     quantity = next((name for name in quantities if name), "power_W")
     largest = float(np.nanmax(read_numbers(table, list(columns.values())), initial=0.0))
