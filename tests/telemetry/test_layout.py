@@ -164,10 +164,23 @@ def test_a_span_changes_nothing_where_each_row_is_a_sample(expected, tmp_path):
         lambda rows: "Report of one orbit;;\n\nOperator;Max\n" + rows.to_csv(sep=";", index=False),
         lambda rows: "# made with numpy\n# " + rows.to_csv(index=False),
         lambda rows: rows.to_csv(index=False).replace("\n", "\nUTC,W,W,W,W,W\n", 1),
+        lambda rows: (
+            "Satellite;X;;;;\n"
+            + rows.to_csv(sep=";", index=False).replace("\n", "\nISO8601;(W);;;;\n", 1)
+        ),
     ],
     ids=[
         *("sep=;", "sep=,", "closing comma", "closing semicolon", "closing header"),
-        *("closing rows", "bars", "UTF-16", "decimal commas", "titles", "savetxt", "units"),
+        *(
+            "closing rows",
+            "bars",
+            "UTF-16",
+            "decimal commas",
+            "titles",
+            "savetxt",
+            "units",
+            "titles and units",
+        ),
     ],
 )
 def test_habits_of_spreadsheets_are_read(write, expected, tmp_path):

@@ -214,6 +214,26 @@ def test_nothing_is_suggested_where_names_say_nothing(header, what, folder):
     assert not (folder / "mine").exists()
 
 
+@pytest.mark.parametrize(
+    ("columns", "lines"),
+    [
+        ({"time_gps": "2026-01-01 00:00:18", "utc": "2026-01-01 00:00:00"}, 'time_column = "utc"'),
+        ({"Received Time": "2026-01-01 05:00", "Time": "2026-01-01 00:00"}, 'time_column = "Time"'),
+        ({"gps_time": "1451260818"}, 'time_format = "gps"'),
+        ({"gps_time": "2026-01-01 00:00:18"}, 'time_format = "gps"'),
+        ({"gps_time": "2026-01-01T00:00:00Z"}, 'time_format = "utc"'),
+    ],
+)
+def test_times_of_reception_and_of_GPS_are_not_taken_for_UTC_of_the_samples(columns, lines, folder):
+    text = f"{','.join(columns)},iXp,iXm\n{','.join(columns.values())},100,200\n"
+    (folder / "export.csv").write_text(text, "utf-8")
+    assert CliRunner().invoke(cli, ["init", "mine", "--from", "export.csv"]).exit_code == 0
+    assert lines in (folder / "mine" / "vehicle.toml").read_text("utf-8")
+    craft = ss.load_vehicle(folder / "mine" / "vehicle.toml")
+    found = ss.read_telemetry(folder / "export.csv", craft)
+    assert found.attrs["epoch_utc"] == "2026-01-01T00:00:00Z"
+
+
 @pytest.mark.parametrize("fill", ["65535", "-999"])
 def test_fill_values_say_nothing_on_the_unit_of_a_column(fill, folder):
     """Currents in A were taken as mA, and every panel as lit."""

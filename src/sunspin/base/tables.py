@@ -270,10 +270,12 @@ def _find_header(lines: list[str]) -> tuple[int, list[str]]:
         if all(names) and not has_number(names):
             return begin - 1, [*lines[: begin - 1], above.lstrip("# "), *lines[begin:]]
     if len([cell for cell in first if cell]) < 3 and not RAW_FRAME.fullmatch(lines[begin].strip()):
-        for k, below in zip(texts[:MAX_TITLE_LINES], texts[1:], strict=False):
-            names, cells = split(lines[k]), split(lines[below])
+        for i, k in enumerate(texts[:MAX_TITLE_LINES]):
+            names = split(lines[k])
+            # a row of units may stand between the header and the first numbers
+            below = [split(lines[j]) for j in texts[i + 1 : i + 3]]
             if all(names) and len(names) > 2 and not has_number(names):
-                if len(cells) == len(names) and has_number(cells):
+                if any(len(cells) == len(names) and has_number(cells) for cells in below):
                     return k, lines
     return begin, lines
 
@@ -281,12 +283,12 @@ def _find_header(lines: list[str]) -> tuple[int, list[str]]:
 def _split_units(cells: pd.DataFrame) -> tuple[pd.DataFrame, dict[str, str]]:
     """Return a table without the row of units below its header, and the unit of each column; no units if there is no such row.
 
-    A row of units has no number and no two digits in a row, which every time has; the row below it has a number.
+    A row of units has neither numbers nor times; the row below it has a number.
     """
     if len(cells) < 2:
         return cells, {}
     first, second = ([cell.strip() for cell in cells.iloc[k]] for k in (0, 1))
-    is_unit = [re.search(r"^[-+.]?\d|\d\d", cell) is None for cell in first]
+    is_unit = [re.search(r"^[-+.]?\d|\d:\d\d", cell) is None for cell in first]
     if not any(first) or not all(is_unit) or np.isnan([plain_number(c) for c in second]).all():
         return cells, {}
     return cells.iloc[1:], dict(zip(cells.columns, first, strict=True))

@@ -120,6 +120,8 @@ def rewrite_dates(form: TelemetryForm, table: TextTable) -> TextTable:
         columns.append(form.receive_time_column)
     for name in columns:
         texts = cells[name].tolist() if name in cells else []
+        if name == form.time_column and form.time_format != "utc":  # GPS or TAI after the date
+            texts = [text.strip().removesuffix(form.time_format.upper()).rstrip() for text in texts]
         if form.time_format != "utc" and np.isfinite([plain_number(text) for text in texts]).any():
             continue
         day_first = find_day_first(texts) if form.day_first is None else form.day_first

@@ -84,6 +84,9 @@ MILLI = 30.0
 TIME_WORDS = ("time", "timestamp", "date", "datetime", "utc", "unix", "epoch", "uptime", "ts", "t")
 """Words in the name of a time column, the likeliest first."""
 
+RECEIVED_WORDS = ("received", "receive", "recv", "reception", "rx", "ert", "ground", "downlink")
+"""Words in the name of a column of times of reception, which are later than those of the samples."""
+
 COUNT_WORDS = ("adc", "raw", "count", "counts", "cnt", "dn", "lsb")
 """Words in the name of a column of raw counts of a converter."""
 
@@ -407,12 +410,20 @@ def _time_column(table: TextTable) -> tuple[str, list[str]] | None:
         lines = _describe_times(cells, bool(by_name))
         if lines is not None:
             is_date = lines[0].startswith('time_format = "utc"')
-            # dates with times of day before dates alone, these before numbers, then by the name, then the first
+            scale = next((scale for scale in ("gps", "tai") if scale in words), "")
+            has_zone = any(
+                re.search(r"(Z|[+-]\d\d:?\d\d)$", rewrite_date(cell)) for cell in cells[:1]
+            )
+            if scale and "elapsed" not in lines[0] and not (is_date and has_zone):
+                stated = f'time_format = "{scale}"'
+                lines = [_entry(stated, "by the name of the column; check this"), *lines[1:]]
+            # dates with times of day before dates alone, these before numbers, then UTC of samples, by the name, then the first
             rank = 2 - is_date * (2 if any(":" in cell or "T" in cell for cell in cells) else 1)
-            ranked.append((rank, min(by_name, default=99), place, column, lines))
+            is_other = bool(scale) or bool(words & set(RECEIVED_WORDS))
+            ranked.append((rank, is_other, min(by_name, default=99), place, column, lines))
     if not ranked:
         return None
-    rank, _, _, column, lines = min(ranked)
+    rank, *_, column, lines = min(ranked)
     if rank == 1 and (clock := _clock_column(table)) is not None:
         return clock, [_entry(f"date_column = {toml_string(column)}", ""), *lines]
     return column, lines
