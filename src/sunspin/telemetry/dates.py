@@ -47,6 +47,8 @@ NOTATIONS = tuple(
     for date in DATES
 )
 
+BEGINS_UNORDERED = re.compile(rf"{WEEKDAY}{UNORDERED}\b")
+
 TIME_OF_DAY = re.compile(rf"{CLOCK}{ZONE}")
 
 
@@ -87,8 +89,7 @@ def rewrite_date(text: str, day_first: bool | None = None) -> str:
 
 def find_day_first(texts: Iterable[str]) -> bool | None:
     """Return whether the day is before the month in dates such as 31/01/2026; None if no date shows it."""
-    pattern = re.compile(rf"{WEEKDAY}{UNORDERED}\b.*")
-    found = (pattern.fullmatch(text.strip().lower()) for text in texts)
+    found = (BEGINS_UNORDERED.match(text.strip().lower()) for text in texts)
     pairs = np.array([(int(each["first"]), int(each["second"])) for each in found if each])
     if not len(pairs):
         return None
@@ -100,7 +101,7 @@ def find_day_first(texts: Iterable[str]) -> bool | None:
 
 def has_no_order(text: str) -> bool:
     """Return whether a text is a date of which it must be known whether the day is before the month."""
-    return rewrite_date(text) != rewrite_date(text, True)
+    return BEGINS_UNORDERED.match(text.strip().lower()) is not None
 
 
 def rewrite_dates(form: TelemetryForm, table: TextTable) -> TextTable:
