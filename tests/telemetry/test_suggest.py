@@ -262,6 +262,15 @@ def test_columns_of_panels_without_numbers_are_named_with_a_cell(cell, folder):
     assert cell in str(done.exception)
 
 
+@pytest.mark.parametrize("cell", ["58:00.3", "2026-01-31 12:00:00 CET"])
+def test_times_that_cannot_be_read_are_named_with_a_cell(cell, folder):
+    """Spreadsheets show times with a fraction as minutes and seconds, and write them so."""
+    (folder / "export.csv").write_text(f"Time,iXp,iXm\n{cell},100,200\n", "utf-8")
+    done = CliRunner().invoke(cli, ["init", "mine", "--from", "export.csv"])
+    words = f"column 'Time' may hold times, but they cannot be read, such as {cell!r}"
+    assert words in str(done.exception)
+
+
 @pytest.mark.parametrize("date", ["2026-01-31", "31.01.2026", "31/01/2026", "01/31/26"])
 def test_a_date_and_a_time_of_day_in_two_columns_and_a_row_of_units_are_read(date, folder):
     """Dates alone were taken as times: all samples at midnight."""

@@ -220,6 +220,8 @@ TEMPLATE = resources.files("sunspin").joinpath("template", "vehicle.toml").read_
         ("1767225600000", "Unix time in ms, us or ns, set time_format = .unix."),
         ("01.13.2026 00:00:00", "write it as 2026-01-31T23:59:59Z"),
         ("2026-01-01T00:00:00+25:00", "write it as 2026-01-31T23:59:59Z"),
+        ("58:00.3", "a spreadsheet left minutes and seconds of it"),
+        ("11:58:00.125", "name the column of dates as date_column"),
         ("nan", "write it as 2026-01-31T23:59:59Z"),
     ],
 )

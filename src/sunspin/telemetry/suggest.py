@@ -211,6 +211,13 @@ def explain_missing(table: TextTable) -> tuple[str, str]:
             what = f"column {column!r} may be of a panel, but its cells are not numbers, such as {cell[:30]!r}"
             return what, "write plain decimals, such as -1.5e-3"
     times = "times" if _time_column(table) is None else ""
+    if times:
+        for column in table.header:
+            cell = next((cell.strip() for cell in table.cells[column] if cell.strip()), "")
+            is_named = bool(set(re.findall(r"[a-z]+", _words(column))) & set(TIME_WORDS))
+            if is_named and any(map(str.isdigit, cell)) and not _is_numeric(table, column):
+                what = f"column {column!r} may hold times, but they cannot be read, such as {cell[:40]!r}"
+                return what, "write them as 2026-01-31T23:59:59Z"
     panels = "" if _best_group(table) else "currents or powers of panels on two faces"
     do = (
         "names such as `time` or `ts_ms`, `px`, `I_X+ [mA]` are recognised: rename the columns, or write [telemetry] by hand "
