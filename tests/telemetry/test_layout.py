@@ -166,7 +166,9 @@ def test_a_span_changes_nothing_where_each_row_is_a_sample(expected, tmp_path):
         lambda rows: rows.to_csv(index=False).replace("\n", "\nUTC,W,W,W,W,W\n", 1),
         lambda rows: (
             "Satellite;X;;;;\n"
-            + rows.to_csv(sep=";", index=False).replace("\n", "\nISO8601;(W);;;;\n", 1)
+            + rows.to_csv(sep=";", index=False)
+            .replace("\n", "\nISO8601;(W);;;;\n", 1)
+            .replace(".", ",")
         ),
     ],
     ids=[

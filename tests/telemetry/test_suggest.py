@@ -281,6 +281,7 @@ def test_a_date_and_a_time_of_day_in_two_columns_and_a_row_of_units_are_read(dat
     craft = ss.load_vehicle(folder / "mine" / "vehicle.toml")
     data = ss.read_telemetry(folder / "export.csv", craft)
     assert data.attrs["epoch_utc"] == "2026-01-31T09:15:00.125000Z"
+    assert "# not read" not in (folder / "mine" / "vehicle.toml").read_text("utf-8")
     np.testing.assert_allclose(data["time"], np.arange(20))
     np.testing.assert_allclose(data["current_A"].sel(panel="+X"), 0.3 + 0.001 * np.arange(20))
 

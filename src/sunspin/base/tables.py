@@ -261,7 +261,7 @@ def _find_header(lines: list[str]) -> tuple[int, list[str]]:
         return [cell.strip(' "') for cell in line.split(_delimiter_of(line))]
 
     def has_number(cells: list[str]) -> bool:
-        return not np.isnan([plain_number(cell) for cell in cells]).all()
+        return not np.isnan([plain_number(cell.replace(",", ".")) for cell in cells]).all()
 
     begin, first = texts[0], split(lines[texts[0]])
     above = lines[begin - 1] if begin else ""

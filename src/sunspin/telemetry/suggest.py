@@ -184,7 +184,8 @@ def suggest_section(table: TextTable, panels: dict[str, str] | None = None) -> S
             if panels is None or face in panels
         ),
     ]
-    used = {time_column, *group.columns.values()}
+    dates = {name for name in table.header if f"date_column = {toml_string(name)}" in time_lines}
+    used = {time_column, *dates, *group.columns.values()}
     if others := [name for name in table.header if name not in used]:
         shown = ", ".join(map(toml_string, others[:12])) + (", ..." * (len(others) > 12))
         lines.append(f"# not read: {shown}")
