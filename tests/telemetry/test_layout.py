@@ -164,6 +164,8 @@ def test_a_span_changes_nothing_where_each_row_is_a_sample(expected, tmp_path):
         lambda rows: "Report of one orbit;;\n\nOperator;Max\n" + rows.to_csv(sep=";", index=False),
         lambda rows: "# made with numpy\n# " + rows.to_csv(index=False),
         lambda rows: rows.to_csv(index=False).replace("\n", "\nUTC,W,W,W,W,W\n", 1),
+        lambda rows: rows.to_csv(sep=" ", index=False).replace(" ", "   "),
+        lambda rows: "# made with numpy\n# " + rows.to_csv(sep=" ", index=False),
         lambda rows: (
             "Satellite;X;;;;\n"
             + rows.to_csv(sep=";", index=False)
@@ -181,6 +183,8 @@ def test_a_span_changes_nothing_where_each_row_is_a_sample(expected, tmp_path):
             "titles",
             "savetxt",
             "units",
+            "blanks",
+            "savetxt with blanks",
             "titles and units",
         ),
     ],
@@ -203,7 +207,7 @@ def test_a_JSON_document_with_a_table_in_it_reads_as_that_table(form, expected, 
     records = rows.to_dict("records")
     documents = {
         "list": rows.to_dict("list"),
-        "records": {"status": "ok", "data": records},
+        "records": {"units": [{"px": "W"}, {"mx": "W"}], "data": records},
         "hits": {"took": 3, "hits": {"total": {"value": 2}, "hits": records}},
     }
     if form in documents:

@@ -168,7 +168,7 @@ def _read_csv(text: str, where: str) -> tuple[pd.DataFrame, list[str]]:
     stated = SEPARATOR.fullmatch(lines[0].strip('" '))
     if stated:
         lines[0] = ""
-    begin, lines = _find_header(lines)
+    begin, lines = _find_header(_tabs_for_blanks(lines))
     # comments before the header and between rows are collected
     comment_lines = [*lines[:begin], *(line for line in lines[begin:] if line.startswith("#"))]
     comments = [comment for line in comment_lines if (comment := line.lstrip("# ").strip())]
@@ -245,6 +245,24 @@ def _delimiter_of(line: str) -> str:
     """Return the delimiter of a line of names; names may contain a bar, so that it counts only without any other."""
     delimiter = max(DELIMITERS, key=line.count)
     return "|" if delimiter not in line and "|" in line else delimiter
+
+
+def _tabs_for_blanks(lines: list[str]) -> list[str]:
+    """Return lines with tabs between their words if blanks separate the columns, as `numpy.savetxt` writes them, else unchanged.
+
+    Then no row has another delimiter, and all have equally many words, three or more. A comment of as many words may be a header.
+    """
+    rows = [line for line in lines if line.strip() and line[0] != "#"]
+    if any(mark in line for line in rows for mark in (*DELIMITERS, "|", '"')):
+        return lines
+    counts = {len(line.split()) for line in rows}
+    if len(counts) != 1 or max(counts) < 3:
+        return lines
+    return [
+        f"{'# ' * line.startswith('#')}{chr(9).join(words)}" if len(words) in counts else line
+        for line in lines
+        for words in [line.lstrip("# ").split()]
+    ]
 
 
 def _find_header(lines: list[str]) -> tuple[int, list[str]]:
@@ -361,9 +379,8 @@ def _read_json(text: str, where: str) -> tuple[pd.DataFrame, str]:
 def _rows_of_page(page: dict[str, Any], depth: int = 0) -> list[Any] | None:
     """Return the rows of the table in a JSON object; None if it is a single row.
 
-    The table is a list of objects, at any `depth` of other objects, if there is one such list; or lists of equal length, one for
-    each column; or an object for each column with the rows 0, 1, ..., as pandas writes it; or rows as lists with their names in
-    `columns`.
+    The table is the longest list of objects, at any `depth` of other objects; or lists of equal length, one for each column; or an
+    object for each column with the rows 0, 1, ..., as pandas writes it; or rows as lists with their names in `columns`.
     """
     if isinstance(page.get("results"), list):
         return page["results"]
@@ -387,7 +404,8 @@ def _rows_of_page(page: dict[str, Any], depth: int = 0) -> list[Any] | None:
             found.append(item)
         elif isinstance(item, dict) and depth < MAX_DEPTH:
             found += [rows] if (rows := _rows_of_page(item, depth + 1)) else []
-    return found[0] if len(found) == 1 else None
+    found.sort(key=len)
+    return found[-1] if found and len(found[-1]) > len((found[-2:-1] or [[]])[0]) else None
 
 
 def _is_list(item: Any) -> bool:
