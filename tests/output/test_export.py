@@ -130,6 +130,24 @@ def test_spice_reads_its_kernels_back(result, tmp_path, reached):
         sp.unload(kernels)
 
 
+def test_a_kernel_covers_the_ends_of_passes_also_after_a_leap_second(sparse, tmp_path):
+    """TDB and UTC differ by another second after 2016, and by milliseconds within months."""
+    from scipy.spatial.transform import Rotation
+
+    sp = pytest.importorskip("spiceypy")
+    attitude = build_attitude(sparse)
+    later = attitude.t_s + np.where(attitude.pass_of > 0, 100 * 86_400.0, 0.0)
+    attitude = attitude._replace(t_s=later, epoch=np.datetime64("2016-12-01T00:00:00", "us"))
+    kernels = [str(path) for path in write_ck(tmp_path, attitude)]
+    sp.furnsh(kernels)
+    try:
+        for t, quaternion in zip(ephemeris_time(attitude.utc), attitude.quaternion, strict=True):
+            expected = Rotation.from_quat(quaternion).as_matrix()
+            assert np.abs(sp.pxform(attitude.frame, "SUNSPIN_BODY", t) - expected).max() < 1e-7
+    finally:
+        sp.unload(kernels)
+
+
 @pytest.mark.evidence("compare", "verified", "kernels written here with rates changed by 2 %")
 def test_a_comparison_with_kernels_finds_a_changed_motion(result, tmp_path, reached):
     """Kernels in the place of ESA's of Philae: written here, in a celestial frame, with the rates changed by a known factor."""
