@@ -216,16 +216,7 @@ def motion_at(data: xr.Dataset, times: Any) -> xr.Dataset:
     InputError
         A time cannot be read, or the instants of the result are too far apart to interpolate between them.
     """
-    texts = np.atleast_1d(np.asarray(times))
-    if texts.dtype.kind in "iuf":
-        t = texts.astype(np.float64)
-    elif texts.dtype.kind == "M":
-        epoch = _parse_epoch(str(data.attrs.get("epoch_utc")))
-        t = (texts.astype("datetime64[us]") - epoch) / np.timedelta64(1, "s")
-    else:
-        epoch = _parse_epoch(str(data.attrs.get("epoch_utc")))
-        moments = np.array([_parse_epoch(str(text)) for text in texts])
-        t = (moments - epoch) / np.timedelta64(1, "s")
+    t = _parse_times(times, data.attrs.get("epoch_utc"))
     motion = _add_curve(data, _read_samples(data))
     quaternion, omega = np.full((t.size, 4), np.nan), np.full((t.size, 3), np.nan)
     pass_of = np.full(t.size, -1)
@@ -251,6 +242,25 @@ def motion_at(data: xr.Dataset, times: Any) -> xr.Dataset:
     )
 
 
+def _parse_times(times: Any, epoch_utc: str | None) -> np.ndarray:
+    """Return times (n) in s from the epoch of a result, from seconds or UTC; raise `InputError` if one cannot be read."""
+    values = np.atleast_1d(np.asarray(times))
+    if values.ndim > 1:
+        what, got = "the times have several dimensions", f"shape {values.shape}"
+        raise InputError(what, got=got, do="give a list of times")
+    if values.dtype.kind in "iuf":
+        return values.astype(np.float64)
+    if not epoch_utc:
+        what = "the result has no UTC of its time zero"
+        raise InputError(what, got=str(values[:1]), do="give times in seconds")
+    if values.dtype.kind != "M":
+        do = "give seconds from the epoch of the result, or UTC such as 2026-01-31T12:00:00Z"
+        values = np.array(
+            [_parse_utc(str(text), "this time cannot be read", do) for text in values]
+        )
+    return (values.astype("datetime64[us]") - _parse_epoch(epoch_utc)) / np.timedelta64(1, "s")
+
+
 def _choose_frame(data: xr.Dataset, frame: str | None) -> tuple[str, str]:
     """Return the name of the frame N in the file, and its orientation in words, which is empty for a celestial frame.
 
@@ -271,13 +281,18 @@ def _choose_frame(data: xr.Dataset, frame: str | None) -> tuple[str, str]:
 
 
 def _parse_epoch(epoch: str) -> np.datetime64:
-    """Return the UTC of time zero from an ISO-8601 text, with any time zone or none (UTC); raise `InputError` for other text."""
+    """Return the UTC of time zero from an ISO-8601 text; raise `InputError` for other text."""
+    what, do = "the results have no UTC of their time zero", "give --epoch 2026-01-01T00:00:00Z"
+    return _parse_utc(epoch, what, do)
+
+
+def _parse_utc(text: str, what: str, do: str) -> np.datetime64:
+    """Return UTC from an ISO-8601 text, with any time zone or none (UTC); raise `InputError` (`what`, `do`) for other text."""
     try:
-        moment = datetime.fromisoformat(epoch)
+        moment = datetime.fromisoformat(text)
         moment = moment.astimezone(UTC).replace(tzinfo=None) if moment.tzinfo else moment
     except (ValueError, OverflowError):
-        what, do = "the results have no UTC of their time zero", "give --epoch 2026-01-01T00:00:00Z"
-        raise InputError(what, got=epoch, do=do) from None
+        raise InputError(what, got=text, do=do) from None
     return np.datetime64(moment, "us")
 
 
