@@ -3,6 +3,7 @@
 from xml.etree import ElementTree
 
 import numpy as np
+import pandas as pd
 import pytest
 import xarray as xr
 
@@ -203,6 +204,23 @@ def test_exported_quaternions_never_change_sign_between_neighbours(form, sparse,
     text = write_aem(tmp_path / "a.aem", build_attitude(sparse), form).read_text()
     for q in np.split(quaternions(text, form), [6]):
         assert len(q) == 6 and q[0, 3] >= 0 and np.einsum("ni,ni->n", q[1:], q[:-1]).min() > 0.9
+
+
+@pytest.mark.parametrize("form", ["1.0", "2.0", "xml"])
+def test_a_pass_that_is_not_decided_is_named_in_its_segment(form, sparse, tmp_path):
+    verdict = {"decided": [True, False], "why_not_decided": ["", "several solutions, ±"]}
+    result = sparse.assign({name: ("pass_id", values) for name, values in verdict.items()})
+    result = result.assign_coords(pass_id=[3, 4])
+    attitude = build_attitude(result)
+    text = write_aem(tmp_path / "a.aem", attitude, form).read_text()
+    words = "pass 4 is not decided (several solutions, _): another motion may be the right one"
+    assert text.count(words) == 1 and text.isascii()
+    assert text.index("2014-11-12T15:34:56.5") < text.index(
+        words
+    )  # after the attitudes of the first segment
+    assert text.index(words) < text.rindex("START_TIME")
+    rows = pd.read_parquet(write_parquet(tmp_path / "a.parquet", attitude))
+    assert rows["decided"].tolist() == [True] * 6 + [False] * 6
 
 
 def test_exported_attitudes_on_a_grid_follow_the_motion_between_samples(sparse, tmp_path):

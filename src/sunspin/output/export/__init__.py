@@ -20,7 +20,7 @@ import xarray as xr
 from scipy.interpolate import CubicHermiteSpline
 from scipy.spatial.transform import Rotation, Slerp
 
-from sunspin.base.errors import InputError, OutputError
+from sunspin.base.errors import InputError, OutputError, printable
 from sunspin.base.netcdf import read_groups
 from sunspin.dynamics.curve import CURVE_RAD, MOST_INSTANTS, rotations
 from sunspin.dynamics.propagate import MAX_RATE
@@ -89,6 +89,7 @@ class AttitudeHistory(NamedTuple):
     frame : name of the frame N
     orientation : orientation of N in words, if N is a local frame
     source : program, and whether the telemetry was synthetic
+    undecided : number of each pass that is not decided -> a sentence with the reason
     """
 
     t_s: np.ndarray
@@ -102,6 +103,7 @@ class AttitudeHistory(NamedTuple):
     frame: str
     orientation: str
     source: str
+    undecided: dict[int, str]
 
     @property
     def utc(self) -> np.ndarray:
@@ -193,7 +195,23 @@ def build_attitude(
         frame=frame_name,
         orientation=orientation,
         source=f"sunspin{synthetic}",
+        undecided=_undecided(data),
     )
+
+
+def _undecided(data: xr.Dataset) -> dict[int, str]:
+    """Return the passes that are not decided, by their number in `pass_of`, each with a sentence; none for a simulation."""
+    names = ("pass_id", "decided", "why_not_decided")
+    if any(name not in data or data[name].dims != ("pass_id",) for name in names):
+        return {}
+    passes = zip(*(data[name].values for name in names), strict=True)
+    return {
+        place: printable(
+            f"pass {number} is not decided ({why}): another motion may be the right one"
+        )
+        for place, (number, decided, why) in enumerate(passes)
+        if not decided
+    }
 
 
 def motion_at(data: xr.Dataset, times: Any) -> xr.Dataset:
@@ -538,7 +556,9 @@ def write_parquet(target: Path, attitude: AttitudeHistory) -> Path:
     except ImportError:
         what, do = "Parquet needs pyarrow", 'pip install "sunspin[parquet]"'
         raise OutputError(what, do=do) from None
+    decided = ~np.isin(attitude.pass_of, list(attitude.undecided))
     columns = {"time_utc": attitude.utc, "time_s": attitude.t_s, "pass": attitude.pass_of}
+    columns |= {"decided": decided}
     columns |= {f"q_{k}_B_from_N": q for k, q in zip("xyzw", attitude.quaternion.T, strict=True)}
     columns |= {f"omega_{k}_B_rad_s": w for k, w in zip("xyz", attitude.omega_B.T, strict=True)}
     metadata = {"frame": attitude.frame, "object": attitude.name, "source": attitude.source}
