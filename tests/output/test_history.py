@@ -99,6 +99,12 @@ def test_the_history_is_summarised_drawn_saved_and_shown_on_a_page(result, tmp_p
     assert "a spinner" in write_report(out).read_text("utf-8")
 
 
+def test_axes_of_passes_that_are_not_decided_are_named_in_the_figure(result, tmp_path):
+    figure = ss.history([save(result, tmp_path / "0", 0.0, decided=False)]).sunspin.plot()
+    assert [text.get_text() for text in figure.axes[1].get_legend().get_texts()] == ["x", "y", "z"]
+    assert len({line.get_color() for line in figure.axes[1].get_lines()}) == 3
+
+
 def test_vehicle_files_of_one_name_that_differ_are_named_and_those_that_agree_are_not(
     result, tmp_path
 ):

@@ -142,13 +142,13 @@ def _draw_points(
     colour: str,
     label: str,
 ) -> None:
-    """Draw a point for each pass with its error: filled if the pass is decided, else open and grey."""
-    for mask, style in (
-        (decided, {"color": colour, "label": label}),
-        (~decided, {"color": GREY, "mfc": "none"}),
-    ):
+    """Draw a point for each pass with its error: filled if the pass is decided, else open and pale."""
+    for mask, style in ((decided, {}), (~decided, {"mfc": "none", "alpha": 0.6})):
         if mask.any():
-            axes.errorbar(days[mask], values[mask], error[mask], fmt="o", ms=3.5, lw=0.8, **style)
+            # one entry in the legend, also without a decided pass
+            name = label if mask is decided or not decided.any() else None
+            style |= {"fmt": "o", "ms": 3.5, "lw": 0.8, "color": colour, "label": name}
+            axes.errorbar(days[mask], values[mask], error[mask], **style)
 
 
 def _draw_trend(axes: Any, data: Any, days: np.ndarray) -> None:
