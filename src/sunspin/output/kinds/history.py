@@ -147,8 +147,9 @@ def _draw_points(
         if mask.any():
             # one entry in the legend, also without a decided pass
             name = label if mask is decided or not decided.any() else None
-            style |= {"fmt": "o", "ms": 3.5, "lw": 0.8, "color": colour, "label": name}
-            axes.errorbar(days[mask], values[mask], error[mask], **style)
+            size = {"fmt": "o", "ms": 3.5, "lw": 0.8}
+            point = days[mask], values[mask], error[mask]
+            axes.errorbar(*point, color=colour, label=name, **size, **style)
 
 
 def _draw_trend(axes: Any, data: Any, days: np.ndarray) -> None:
