@@ -152,8 +152,12 @@ def test_command_writes_table_passes_and_figure_and_shows_the_first_round(tmp_pa
     words = "plan vehicle.toml --every 10,60 --samples 3 --passes 2 --workers 1 --out beacons"
     done = CliRunner().invoke(cli, words.split())
     assert done.exit_code == 0, done.output
-    assert "round 1 of 2" in done.stderr
+    assert (
+        "round 1 of 2\n    every   speed, deg/s  passes" in done.stderr
+    )  # its columns are aligned
     assert "several solutions" in done.stdout
+    error = CliRunner().invoke(cli, ["plan", "vehicle.toml", "--every", "often"]).exception
+    assert "--every takes intervals in s, such as 10,30,60 (found often)" in str(error)
     table = (tmp_path / "beacons" / "plan.csv").read_text(encoding="utf-8")
     assert table.splitlines()[0].startswith("every_s,speed_from_deg_s")
     assert (tmp_path / "beacons" / "plan.png").exists()

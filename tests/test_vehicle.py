@@ -56,7 +56,7 @@ KNOWN = "known keys: columns, scale_rad_s, zero, noise_rad_s, wraps_at"
     ("old", "new", "parts"),  # without an old part the new one is added, or is the file
     [
         (None, "", ["empty"]),
-        (None, GOOD.encode("utf-16"), ["not UTF-8"]),
+        (None, GOOD.encode("utf-16")[:-1], ["not UTF-16"]),
         ("mass_kg", "mas_kg", ["body.mas_kg", "unknown key", "mass_kg, inertia_kg_m2"]),
         ("[1, 0, 0], [0, 2", "[1, 0.1, 0], [0, 2", ["symmetric", "0.1"]),
         ("[0, 0, 2.5]", "[0, 0, 5]", ["not that of any body", "1, 2, 5"]),

@@ -111,6 +111,20 @@ def test_a_number_in_another_notation_gets_a_message_on_notation(column, tmp_pat
         words = rf"line 3, column '{name}': the number has a decimal comma .*{cell}.*point"
         with pytest.raises(TelemetryError, match=words):
             changed(["1", cell, "0.5"])
+    for cell in (
+        "12 345.5",
+        "12.345.678",
+        "12'345",
+        "12\u202f345,5",
+    ):  # only large numbers have them
+        words = rf"line 3, column '{name}': the number has a thousands separator .found {cell[:2]}"
+        for mark in "\t;":
+            with pytest.raises(TelemetryError, match=words):
+                changed(["1", cell, "0.5"], mark)
+    for cells, mark in ((["88", "1,234", "2,345"], ";"), (["8.5", "1,234", "2,345"], "\t")):
+        words = rf"line 3, column '{name}': the number has a decimal comma or a thousands separator"
+        with pytest.raises(TelemetryError, match=words):
+            changed(cells, mark)
     for cell in ("1_000", "\u0663", "0x10", "0.5 W", "1 e5"):
         words = rf"line 2, column '{name}': no cell of this column is a number \(found {cell}"
         with pytest.raises(TelemetryError, match=words):
@@ -119,6 +133,8 @@ def test_a_number_in_another_notation_gets_a_message_on_notation(column, tmp_pat
     for cell in ("", "nan", "N/A", "--", "off"):
         changed([cell] * 3)  # a sensor that is off
     comma = changed(["0,5", "1,5e-1", "2"], ";")
+    assert comma["power_W"].values[1, 0] == (0.15 if column == 1 else 0.5)
+    comma = changed(["0,5", "0,150", "2"])
     assert comma["power_W"].values[1, 0] == (0.15 if column == 1 else 0.5)
 
 

@@ -338,13 +338,19 @@ WRITTEN = {
     "comments": _kvn(ISS).replace("EPOCH", "COMMENT a = 1\nCOMMENT a = 1\nEPOCH", 1),
     "semicolons": FORMS["csv"](ISS).replace(",", ";"),
     "tabs": "\n" + FORMS["csv"](ISS).replace(",", "\t"),
+    "page": json.dumps({"totalItems": 1, "member": [ISS]}),
+    "small letters": json.dumps({key.lower(): value for key, value in ISS.items()}),
+    "blank in the epoch": json.dumps(ISS).replace("T12:00:00", " 12:00:00"),
+    "closing semicolons": _kvn(ISS).replace("\n", ";\n"),
+    "CDATA": _xml(ISS).replace(">ISS (ZARYA)<", "><![CDATA[ISS (ZARYA)]]><"),
+    "UTF-16": FORMS["csv"](ISS),  # a download with PowerShell
 }
 
 
 @pytest.mark.parametrize("form", WRITTEN)
 def test_an_OMM_is_read_in_each_of_its_forms(form, tmp_path):
     path = tmp_path / "omm"
-    path.write_text(WRITTEN[form], "utf-8")
+    path.write_text(WRITTEN[form], "utf-16" if form == "UTF-16" else "utf-8")
     (elements,) = read_orbit(path)
     assert (elements.number, elements.name) == (25544, "ISS (ZARYA)")
     assert sum(elements.epoch_jd) == pytest.approx(2460371.0, abs=1e-9)
@@ -381,6 +387,30 @@ def test_an_epoch_by_the_day_of_the_year_or_with_nanoseconds_is_read():
     for epoch in ("2023-366T12:00:00", "2024-13-01T12:00:00", "0001-01-01T00:00:00"):
         with pytest.raises(ss.InputError, match="EPOCH must be a time such as"):
             parse_elements(json.dumps(ISS | {"EPOCH": epoch, "TIME_SYSTEM": "TAI"}), "case")
+
+
+def test_former_messages_of_Space_Track_have_the_microseconds_of_the_epoch_in_a_key_of_their_own():
+    fields = ISS | {"EPOCH": "2024-03-01 12:00:00", "EPOCH_MICROSECONDS": "43200"}
+    (elements,) = parse_elements(json.dumps([fields]), "case")
+    assert dict(elements.given)["EPOCH"] == "2024-03-01T12:00:00.043200"
+
+
+@pytest.mark.parametrize("form", ["SatNOGS", "Space-Track", "N2YO", "lines"])
+def test_lines_of_elements_in_JSON_are_read_as_lines(form):
+    one, two = VZLUSAT.splitlines()[-2:]
+    text = {
+        "SatNOGS": json.dumps([{"tle0": "0 VZLUSAT-1", "tle1": one, "tle2": two, "sat_id": "A"}]),
+        "Space-Track": json.dumps(
+            [{"OBJECT_NAME": "VZLUSAT-1", "TLE_LINE1": one, "TLE_LINE2": two}]
+        ),
+        "N2YO": json.dumps(
+            {"info": {"satid": 42790}, "name": "VZLUSAT-1", "tle": f"{one}\r\n{two}"}
+        ),
+        "lines": json.dumps({"name": "VZLUSAT-1", "line1": one, "line2": two}) + "\n",
+    }[form]
+    (elements,) = parse_elements(text, "case")
+    (plain,) = parse_elements(f"{one}\n{two}", "case")
+    assert (elements.given, elements.name) == (plain.given, "VZLUSAT-1")
 
 
 SYSTEMS = ".* give EPOCH and TIME_SYSTEM in one of UTC, TAI, TT, TDT, TDB, GPS"
@@ -538,7 +568,10 @@ UNREAD = "the catalogue number of the satellite cannot be read .found "
         (json.dumps(ISS | {"MEAN_MOTION": 0}), "the elements are those of no orbit"),
         (json.dumps(ISS | {"MEAN_ELEMENT_THEORY": "DSST"}), THEORY),
         ("<omm><a>", "this is not valid XML"),
-        ('<!DOCTYPE a [<!ENTITY b "c">]><omm/>', "the XML defines entities"),
+        (
+            '<!DOCTYPE a [<!ENTITY b "c">]><omm/>',
+            "the XML has a document type, which can define entities",
+        ),
     ],
 )
 def test_damaged_elements_are_refused_in_one_sentence(text, message):

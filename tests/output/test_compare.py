@@ -191,6 +191,10 @@ def test_results_with_nothing_in_common_are_refused(studies, tmp_path):
             command = ["compare", str(studies[0]), str(tmp_path / b), *more]
             error = CliRunner().invoke(Group("sunspin"), command).exception
             assert isinstance(error, SunspinError) and words in str(error)
+    for option in (["--frame", "B"], ["--base", "J2000"], ["--epoch", "2026-01-01"]):
+        command = ["compare", str(rates), str(rates), *option]
+        error = CliRunner().invoke(Group("sunspin"), command).exception
+        assert f"{option[0]} belongs to kernels" in str(error)
     assert not (tmp_path / "out").exists()
 
 

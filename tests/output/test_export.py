@@ -3,6 +3,7 @@
 from xml.etree import ElementTree
 
 import numpy as np
+import pandas as pd
 import pytest
 import xarray as xr
 
@@ -130,6 +131,24 @@ def test_spice_reads_its_kernels_back(result, tmp_path, reached):
         sp.unload(kernels)
 
 
+def test_a_kernel_covers_the_ends_of_passes_also_after_a_leap_second(sparse, tmp_path):
+    """TDB and UTC differ by another second after 2016, and by milliseconds within months."""
+    from scipy.spatial.transform import Rotation
+
+    sp = pytest.importorskip("spiceypy")
+    attitude = build_attitude(sparse)
+    later = attitude.t_s + np.where(attitude.pass_of > 0, 100 * 86_400.0, 0.0)
+    attitude = attitude._replace(t_s=later, epoch=np.datetime64("2016-12-01T00:00:00", "us"))
+    kernels = [str(path) for path in write_ck(tmp_path, attitude)]
+    sp.furnsh(kernels)
+    try:
+        for t, quaternion in zip(ephemeris_time(attitude.utc), attitude.quaternion, strict=True):
+            expected = Rotation.from_quat(quaternion).as_matrix()
+            assert np.abs(sp.pxform(attitude.frame, "SUNSPIN_BODY", t) - expected).max() < 1e-7
+    finally:
+        sp.unload(kernels)
+
+
 @pytest.mark.evidence("compare", "verified", "kernels written here with rates changed by 2 %")
 def test_a_comparison_with_kernels_finds_a_changed_motion(result, tmp_path, reached):
     """Kernels in the place of ESA's of Philae: written here, in a celestial frame, with the rates changed by a known factor."""
@@ -185,6 +204,23 @@ def test_exported_quaternions_never_change_sign_between_neighbours(form, sparse,
     text = write_aem(tmp_path / "a.aem", build_attitude(sparse), form).read_text()
     for q in np.split(quaternions(text, form), [6]):
         assert len(q) == 6 and q[0, 3] >= 0 and np.einsum("ni,ni->n", q[1:], q[:-1]).min() > 0.9
+
+
+@pytest.mark.parametrize("form", ["1.0", "2.0", "xml"])
+def test_a_pass_that_is_not_decided_is_named_in_its_segment(form, sparse, tmp_path):
+    verdict = {"decided": [True, False], "why_not_decided": ["", "several solutions, ±"]}
+    result = sparse.assign({name: ("pass_id", values) for name, values in verdict.items()})
+    result = result.assign_coords(pass_id=[3, 4])
+    attitude = build_attitude(result)
+    text = write_aem(tmp_path / "a.aem", attitude, form).read_text()
+    words = "pass 4 is not decided (several solutions, _): another motion may be the right one"
+    assert text.count(words) == 1 and text.isascii()
+    assert text.index("2014-11-12T15:34:56.5") < text.index(
+        words
+    )  # after the attitudes of the first segment
+    assert text.index(words) < text.rindex("START_TIME")
+    rows = pd.read_parquet(write_parquet(tmp_path / "a.parquet", attitude))
+    assert rows["decided"].tolist() == [True] * 6 + [False] * 6
 
 
 def test_exported_attitudes_on_a_grid_follow_the_motion_between_samples(sparse, tmp_path):

@@ -243,7 +243,13 @@ def test_attitude_and_rate_at_any_time_are_those_of_the_motion(name):
 
 def test_a_time_that_cannot_be_read_and_a_result_without_attitude_are_refused():
     run, *_ = simulated("12 deg/s every 20 s")
-    with pytest.raises(ss.InputError):
+    with pytest.raises(
+        ss.InputError, match=r"this time cannot be read \(found noon\); give seconds"
+    ):
         run.assign_attrs(epoch_utc=EPOCH).sunspin.at(["noon"])
+    with pytest.raises(ss.InputError, match="no UTC of its time zero.*give times in seconds"):
+        run.sunspin.at(["2026-01-31T12:00:00Z"])
+    with pytest.raises(ss.InputError, match="several dimensions"):
+        run.sunspin.at([[1.0, 2.0]])
     with pytest.raises(ss.InputError, match="the results have no"):
         ss.load_case("philae").telemetry.sunspin.at([0.0])

@@ -49,7 +49,9 @@ def save(result, folder, day, speed_factor=1.0, decided=True, name="a spinner", 
     for variable in ("speed_median", "speed_low", "speed_high", "omega_x", "omega_y", "omega_z"):
         changed[variable] = changed[variable] * speed_factor
     changed["omega_B"] = changed["omega_B"] * speed_factor
-    changed["utc_at"] = changed["utc_at"].dims, np.full(changed["utc_at"].shape, f"{utc}Z")
+    for variable, minutes in (("utc_start", -5), ("utc_at", 0), ("utc_end", 5)):
+        at = f"{utc + np.timedelta64(minutes, 'm')}Z"
+        changed[variable] = changed[variable].dims, np.full(changed[variable].shape, at)
     changed["decided"] = changed["decided"] & decided
     vehicle = folder.parent / f"{folder.name}.toml"
     vehicle.parent.mkdir(exist_ok=True)
@@ -75,6 +77,9 @@ def test_a_later_pass_that_was_estimated_alone_keeps_its_momentum(result, tmp_pa
     """`rates --pass 3` leaves one pass, whose number is 3 and whose place in the result is 0."""
     data = ss.history([save(result.assign_coords(pass_id=[3]), tmp_path / "alone", 0.0)])
     np.testing.assert_allclose(data["momentum"], 0.04 * SPIN, rtol=0.02)
+    data["speed_sigma"] = data["speed_sigma"] * 0 + np.radians(2e-4)  # printed with two digits
+    lines = "\n".join(data.sunspin.summary().lines)
+    assert ": 1 pass from" in lines and "± 0.00020 deg/s" in lines
 
 
 def test_the_history_is_summarised_drawn_saved_and_shown_on_a_page(result, tmp_path, framed):
@@ -94,6 +99,12 @@ def test_the_history_is_summarised_drawn_saved_and_shown_on_a_page(result, tmp_p
     assert "a spinner" in write_report(out).read_text("utf-8")
 
 
+def test_axes_of_passes_that_are_not_decided_are_named_in_the_figure(result, tmp_path):
+    figure = ss.history([save(result, tmp_path / "0", 0.0, decided=False)]).sunspin.plot()
+    assert [text.get_text() for text in figure.axes[1].get_legend().get_texts()] == ["x", "y", "z"]
+    assert len({line.get_color() for line in figure.axes[1].get_lines()}) == 3
+
+
 def test_vehicle_files_of_one_name_that_differ_are_named_and_those_that_agree_are_not(
     result, tmp_path
 ):
@@ -110,6 +121,7 @@ def test_vehicle_files_of_one_name_that_differ_are_named_and_those_that_agree_ar
     [
         (lambda result, folder: save(result, folder / "b", 1.0, name="another"), "several satell"),
         (lambda result, folder: save(result, folder / "b", 0.0), "two results hold the same pass"),
+        (lambda result, folder: save(result, folder / "b", 1 / 288), "two results hold the same p"),
         (lambda result, folder: result.to_netcdf(folder / "x.nc"), ""),
     ],
 )
@@ -175,6 +187,18 @@ def test_trends_have_errors_of_the_right_size_and_rarely_a_jump_that_is_none(wal
         pulls.append((trend.slope - slope) / trend.slope_sigma)
     assert 0.7 < np.sqrt(np.mean(np.square(pulls))) < 1.35
     assert jumps <= 1
+
+
+def test_the_nutation_of_a_tumbling_body_is_no_jump_and_hides_no_trend():
+    """The speed of each pass is that at some phase of the nutation: 30 sigma of scatter, independent from pass to pass."""
+    rng, pulls = np.random.default_rng(9), []
+    for _ in range(30):
+        t, speed, sigma = simulated(rng, 25, -1e-4, 0.0)
+        trend = fit_trend(t, speed + 4.2e-3 * np.sin(rng.uniform(0, 2 * np.pi, 25)), sigma)
+        assert trend.jumps == [] and 1e-3 < trend.scatter < 6e-3
+        pulls.append((trend.slope + 1e-4) / trend.slope_sigma)
+        assert trend.slope_sigma < 3e-4  # 1e-4 if the scatter were known
+    assert 0.5 < np.sqrt(np.mean(np.square(pulls))) < 1.35
 
 
 @pytest.mark.parametrize("walk", [0.0, 1e-4])

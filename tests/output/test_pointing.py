@@ -233,7 +233,10 @@ def test_the_command_reads_the_results_folder_of_rates(tmp_path, undrawn, monkey
         (["pointing", "p"], "needs a results folder of `sunspin rates`"),
         (["pointing", "nowhere"], "no such folder"),
         (["pointing", "rates", "--axis", "1,2"], "takes 3 numbers"),
-        (["pointing", "rates", "--station", "48,17"], "takes 3 numbers"),
+        (
+            ["pointing", "rates", "--station", "48,17"],
+            "takes latitude and longitude in deg and alt",
+        ),
         (["pointing", "rates", "--station", "48,17,100"], "angle to a station is not known"),
     ):
         refused = run.invoke(cli, arguments)

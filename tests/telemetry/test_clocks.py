@@ -548,7 +548,7 @@ TEN = range(0, 200, 20)
         ([1, 7e5], GPS_WEEKS, {"week": [2399] * 2}, "line 3, column 't': seconds of the week are"),
         (["nan", "1451260838"], 'time_format = "gps"', {}, "column 't': GPS seconds are expected"),
         (TEN, f'{RECEIVED} "unix"', {"rx": ["1700000001000000"] * 10}, NO_RECEIVED),
-        (TEN, f'{RECEIVED} "utc"', {"rx": ["14.08.2023 06:30:01"] * 10}, NO_RECEIVED),
+        (TEN, f'{RECEIVED} "utc"', {"rx": ["14.13.2023 06:30:01"] * 10}, NO_RECEIVED),
     ],
 )
 def test_cells_that_are_no_times_are_refused_in_plain_words(tmp_path, times, form, more, words):
@@ -600,3 +600,58 @@ def test_dates_can_name_tai_as_their_time_scale(tmp_path):
     times = [f"2023-08-14 06:30:{37 + k} TAI" for k in range(10)]
     data = read(tmp_path, times, 'time_format = "tai"')
     assert data.attrs["epoch_utc"].startswith("2023-08-14T06:30:00")
+
+
+NOTATIONS = {
+    "German": lambda t: t.strftime("%d.%m.%Y %H:%M:%S.") + f"{t.microsecond // 1000:03d}",
+    "LibreOffice": lambda t: f"{t:%d.%m.%y %H:%M:%S}",
+    "French": lambda t: f"{t:%d/%m/%Y %H:%M:%S}",
+    "American": lambda t: f"{t:%m/%d/%Y %I:%M:%S %p}",
+    "ISO, 12 hours": lambda t: f"{t:%Y-%m-%d %I:%M:%S.%f %p}",
+    "Chinese": lambda t: f"{t.year}/{t.month}/{t.day} {t.hour}:{t:%M:%S}",
+    "MATLAB": lambda t: f"{t:%d-%b-%Y %H:%M:%S.%f}",
+    "e-mail": lambda t: f"{t:%a. %d %b %Y %H:%M:%S} +0000".replace(".", ""),
+    "Kibana": lambda t: f"{t:%b %d %Y @ %H:%M:%S.%f}",
+    "JavaScript": lambda t: f"{t:%a %b %d %Y %H:%M:%S} GMT+0000 (Coordinated Universal Time)",
+    "Go": lambda t: f"{t:%Y-%m-%d %H:%M:%S.%f} +0000 UTC",
+    "SCOS-2000": lambda t: f"{t:%Y.%j.%H.%M.%S.%f}",
+    "ITOS": lambda t: f"{t:%Y:%j:%H:%M:%S.%f}",
+    "day of the year": lambda t: f"{t:%Y/%j-%H:%M:%S.%f}",
+    "digits": lambda t: f"{t:%Y%m%d%H%M%S}",
+}
+"""Who writes a time so -> how."""
+
+
+@pytest.mark.parametrize("program", NOTATIONS)
+def test_dates_as_other_programs_write_them_are_read_to_the_millisecond(tmp_path, program):
+    write = NOTATIONS[program]
+    # noon and midnight, the first days of a month and the last ones
+    moments = [
+        datetime(2026, 1, 28, 11, 59, 58, 125000, UTC) + timedelta(hours=12, seconds=2) * k
+        for k in range(12)
+    ]
+    texts = [write(moment) for moment in moments]
+    expected = np.array([moment.timestamp() for moment in moments])
+    if ".125" not in texts[0]:
+        expected = np.floor(expected)
+    np.testing.assert_allclose(utc(read(tmp_path, texts, "", "refuse")), expected, atol=1e-4)
+    rounded = [moment.replace(microsecond=0, tzinfo=None) for moment in moments]
+    received = read(tmp_path, rounded, 'receive_time_column = "rx"', rx=texts)["received_s"]
+    np.testing.assert_allclose(received, expected - np.floor(moments[0].timestamp()), atol=1e-4)
+
+
+def test_the_order_of_day_and_month_is_asked_for_unless_a_date_shows_it(tmp_path):
+    times = [f"03/0{day}/2026 12:00:00" for day in range(4, 8)]
+    with pytest.raises(
+        TelemetryError, match="line 2, column 't': these dates do not show .*day_first"
+    ):
+        read(tmp_path, times, "")
+    april = datetime(2026, 4, 3, 12, tzinfo=UTC).timestamp()
+    assert utc(read(tmp_path, times, "day_first = true"))[0] == april
+    march = datetime(2026, 3, 4, 12, tzinfo=UTC).timestamp()
+    assert utc(read(tmp_path, times, "day_first = false"))[0] == march
+    assert utc(read(tmp_path, [*times, "03/31/2026 12:00:00"], ""))[0] == march
+    with pytest.raises(TelemetryError, match="ISO-8601 UTC time is expected .found 31/03/2026"):
+        read(tmp_path, [*times, "31/03/2026 12:00:00"], "day_first = false")
+    with pytest.raises(TelemetryError, match="column 'day' .the date. is missing"):
+        read(tmp_path, times, 'date_column = "day"')

@@ -26,9 +26,9 @@ def template_rows() -> pd.DataFrame:
 
 
 def read(folder, text, **telemetry):
-    """Read a text as telemetry of the template's vehicle, with other values of its [telemetry]."""
+    """Read a text, or bytes, as telemetry of the template's vehicle, with other values of its [telemetry]."""
     path = folder / "telemetry"
-    path.write_text(text, "utf-8")
+    path.write_bytes(text if isinstance(text, bytes) else text.encode())
     form = replace(VEHICLE.telemetry, **telemetry)
     return ss.read_telemetry(path, replace(VEHICLE, telemetry=form))
 
@@ -156,11 +156,65 @@ def test_a_span_changes_nothing_where_each_row_is_a_sample(expected, tmp_path):
         lambda rows: rows.to_csv(sep=";", index=False).replace("\n", ";\n"),
         # a delimiter after the last name alone
         lambda rows: rows.to_csv(index=False).replace("\n", ",\n", 1),
+        # and after each row, not after the last name
+        lambda rows: rows.to_csv(index=False).replace("\n", ",\n").replace(",\n", "\n", 1),
+        lambda rows: rows.to_csv(sep="|", index=False),
+        lambda rows: rows.to_csv(sep="\t", index=False).encode("utf-16"),
+        lambda rows: rows.to_csv(sep="\t", index=False).replace(".", ","),
+        lambda rows: "Report of one orbit;;\n\nOperator;Max\n" + rows.to_csv(sep=";", index=False),
+        lambda rows: "# made with numpy\n# " + rows.to_csv(index=False),
+        lambda rows: rows.to_csv(index=False).replace("\n", "\nUTC,W,W,W,W,W\n", 1),
+        lambda rows: rows.to_csv(sep=" ", index=False).replace(" ", "   "),
+        lambda rows: "# made with numpy\n# " + rows.to_csv(sep=" ", index=False),
+        lambda rows: (
+            "Satellite;X;;;;\n"
+            + rows.to_csv(sep=";", index=False)
+            .replace("\n", "\nISO8601;(W);;;;\n", 1)
+            .replace(".", ",")
+        ),
     ],
-    ids=["sep=;", "sep=,", "closing comma", "closing semicolon", "closing header"],
+    ids=[
+        *("sep=;", "sep=,", "closing comma", "closing semicolon", "closing header"),
+        *(
+            "closing rows",
+            "bars",
+            "UTF-16",
+            "decimal commas",
+            "titles",
+            "savetxt",
+            "units",
+            "blanks",
+            "savetxt with blanks",
+            "titles and units",
+        ),
+    ],
 )
 def test_habits_of_spreadsheets_are_read(write, expected, tmp_path):
     assert_same_samples(read(tmp_path, write(template_rows())), expected)
+
+
+def test_the_index_of_pandas_without_a_name_is_a_column_that_can_be_named(expected, tmp_path):
+    rows = template_rows()
+    assert_same_samples(read(tmp_path, rows.to_csv()), expected)
+    text = rows.set_index("time_utc").rename_axis(index=None).to_csv()
+    assert_same_samples(read(tmp_path, text, time_column="column 1"), expected)
+
+
+@pytest.mark.parametrize("form", ["columns", "split", "list", "records", "hits"])
+def test_a_JSON_document_with_a_table_in_it_reads_as_that_table(form, expected, tmp_path):
+    """In one document a table was read as a single sample of its first row."""
+    rows = template_rows()
+    records = rows.to_dict("records")
+    documents = {
+        "list": rows.to_dict("list"),
+        "records": {"units": [{"px": "W"}, {"mx": "W"}], "data": records},
+        "hits": {"took": 3, "hits": {"total": {"value": 2}, "hits": records}},
+    }
+    if form in documents:
+        text = json.dumps(documents[form])
+    else:
+        text = rows.to_json(orient=form)
+    assert_same_samples(read(tmp_path, text), expected)
 
 
 def test_a_row_that_is_too_long_is_refused_after_a_closing_delimiter_too(tmp_path):

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 import sunspin as ss
+from sunspin.estimate.equivalence import Observed
 from sunspin.estimate.terms.panels import Panels
 from sunspin.telemetry.assess import assess, panel_quality
 from sunspin.telemetry.quality import ALBEDO_DEFAULT, DOWNWEIGHTED, DROPPED, USED
@@ -45,6 +46,17 @@ def test_a_dead_panel_is_named_and_left_out():
     assert quality["missed"].values.tolist() == THIRD
     assert Panels.read(assess(CUBE, telemetry(value)))[0].left_out == ("p2",)
     assert not Panels.read(assess(CUBE, telemetry(clean(60)[0])))[0].left_out
+
+
+@pytest.mark.parametrize("fill", [999.0, 65535.0])
+def test_fill_values_are_no_signal_of_a_dead_panel(fill):
+    """Rows of fill values made a dead panel seem alive, and lit."""
+    value, _ = clean(60)
+    value[:, 2] = 0.0
+    value[[5, 9, 30]] = fill
+    data = telemetry(value)
+    assert panel_quality(CUBE, data)["dead"].values.tolist() == THIRD
+    assert Observed.of(CUBE, data).lit.tolist() == [not third for third in THIRD]
 
 
 def test_in_few_samples_a_panel_is_called_dead_only_for_missing_light_on_a_path():

@@ -31,6 +31,16 @@ STYLES = {
     "PXp_W": ("power_W", 1.0, "P{AXIS}{sign:pm}_W"),
     "+X power (mW)": ("power_W", 0.001, "{sign:+-}{AXIS} power (mW)"),
     "sunX+": ("power_W", 1.0, "sun{AXIS}{sign:+-}"),
+    "I_+X [µA]": ("current_A", 1e-6, "I_{sign:+-}{AXIS} [µA]"),
+    "Current +X (Amps)": ("current_A", 1.0, "Current {sign:+-}{AXIS} (Amps)"),
+    "I+X / mA": ("current_A", 0.001, "I{sign:+-}{AXIS} / mA"),
+    "mA_px": ("current_A", 0.001, "mA_{sign:pm}{axis}"),
+    "IXP": ("current_A", 0.001, "I{AXIS}{sign:PM}"),
+    "PXP_mW": ("power_W", 0.001, "P{AXIS}{sign:PM}_mW"),
+    "Panel X (+) current [mA]": ("current_A", 0.001, "Panel {AXIS} ({sign:+-}) current [mA]"),
+    "I[+X]": ("current_A", 0.001, "I[{sign:+-}{AXIS}]"),
+    "+X [%]": ("power_W", 0.01, "{sign:+-}{AXIS} [%]"),
+    "+X power (milliwatts)": ("power_W", 0.001, "{sign:+-}{AXIS} power (milliwatts)"),
 }
 """Name of the column of +X -> quantity, scale, and the form of all names."""
 
@@ -164,7 +174,7 @@ def test_temperatures_below_zero_are_no_angles(folder):
     rows = "".join(f"2026-01-01T00:{k:02d}:00Z,{k - 10},{10 - k}\n" for k in range(20))
     (folder / "export.csv").write_text(f"time,T_px,T_mx\n{rows}", "utf-8")
     done = CliRunner().invoke(cli, ["init", "mine", "--from", "export.csv"])
-    assert "no columns look like times and panels" in str(done.exception)
+    assert "no columns look like currents or powers of panels" in str(done.exception)
 
 
 @pytest.mark.parametrize(
@@ -174,6 +184,9 @@ def test_temperatures_below_zero_are_no_angles(folder):
         ("17672256{:02d}000", ['time_format = "unix"', "time_scale_s = 0.001"]),
         ("1{:02d}", ['time_format = "elapsed"', "REPLACE by the UTC of time zero"]),
         ("2026/01/01 00:00:{:02d} UTC", ['time_format = "utc"']),
+        ("46023.000{:02d}", ['epoch_utc = "1899-12-30T00:00:00Z"', "time_scale_s = 86400"]),
+        ("31/01/2026 00:00:{:02d}", ['time_format = "utc"', "day_first = true"]),
+        ("03/01/2026 00:00:{:02d}", ["day_first = true ", "# check this"]),
     ],
 )
 def test_the_form_of_times_follows_from_their_size(cells, lines, folder):
@@ -183,15 +196,94 @@ def test_the_form_of_times_follows_from_their_size(cells, lines, folder):
     assert all(line in printed for line in lines)
 
 
-@pytest.mark.parametrize("header", ["t,mx,my,mz", "t,a,b,c", "a,px,nx,b"])
-def test_nothing_is_suggested_where_names_say_nothing(header, folder):
+@pytest.mark.parametrize(
+    ("header", "what"),
+    [
+        ("t,mx,my,mz", "currents or powers"),
+        ("t,a,b,c", "currents or powers"),
+        ("a,px,nx,b", "times"),
+    ],
+)
+def test_nothing_is_suggested_where_names_say_nothing(header, what, folder):
     """A magnetometer has three axes and no signs; a file without times cannot be read."""
     date = "2026-01-01T00:00:00Z" if header[0] == "t" else "noon"
     (folder / "export.csv").write_text(f"{header}\n{date},1,2,3\n", "utf-8")
     assert "[telemetry]" not in check_is_refused("vehicle.toml", "export.csv")
     done = CliRunner().invoke(cli, ["init", "mine", "--from", "export.csv"])
-    assert "no columns look like times and panels on two faces" in str(done.exception)
+    assert f"no columns look like {what}" in str(done.exception)
     assert not (folder / "mine").exists()
+
+
+@pytest.mark.parametrize(
+    ("columns", "lines"),
+    [
+        ({"time_gps": "2026-01-01 00:00:18", "utc": "2026-01-01 00:00:00"}, 'time_column = "utc"'),
+        ({"Received Time": "2026-01-01 05:00", "Time": "2026-01-01 00:00"}, 'time_column = "Time"'),
+        ({"gps_time": "1451260818"}, 'time_format = "gps"'),
+        ({"gps_time": "2026-01-01 00:00:18"}, 'time_format = "gps"'),
+        ({"gps_time": "2026-01-01T00:00:00Z"}, 'time_format = "utc"'),
+    ],
+)
+def test_times_of_reception_and_of_GPS_are_not_taken_for_UTC_of_the_samples(columns, lines, folder):
+    text = f"{','.join(columns)},iXp,iXm\n{','.join(columns.values())},100,200\n"
+    (folder / "export.csv").write_text(text, "utf-8")
+    assert CliRunner().invoke(cli, ["init", "mine", "--from", "export.csv"]).exit_code == 0
+    assert lines in (folder / "mine" / "vehicle.toml").read_text("utf-8")
+    craft = ss.load_vehicle(folder / "mine" / "vehicle.toml")
+    found = ss.read_telemetry(folder / "export.csv", craft)
+    assert found.attrs["epoch_utc"] == "2026-01-01T00:00:00Z"
+
+
+@pytest.mark.parametrize("fill", ["65535", "-999"])
+def test_fill_values_say_nothing_on_the_unit_of_a_column(fill, folder):
+    """Currents in A were taken as mA, and every panel as lit."""
+    rows = [f"2026-01-01T00:00:{k:02d}Z,0.4{k:02d},0.001" for k in range(20)]
+    rows[3] = f"2026-01-01T00:00:03Z,{fill},{fill}"
+    (folder / "export.csv").write_text("\n".join(["time,i_px,i_mx", *rows]), "utf-8")
+    assert CliRunner().invoke(cli, ["init", "mine", "--from", "export.csv"]).exit_code == 0
+    text = (folder / "mine" / "vehicle.toml").read_text("utf-8")
+    assert "A, guessed by the size (up to 0.419)" in text and "it reads hardly anything" in text
+    assert ss.load_vehicle(folder / "mine" / "vehicle.toml").telemetry.scale == 1.0
+
+
+@pytest.mark.parametrize("name", ["TX{}", "VX{}", "U_{}X [V]", "T_{}X_raw", "mag_x{}"])
+def test_columns_of_other_readings_of_a_panel_are_no_currents(name, folder):
+    names = f"{name.format('P')},{name.format('M')}"
+    (folder / "export.csv").write_text(f"time,{names}\n2026-01-01,20,30\n", "utf-8")
+    done = CliRunner().invoke(cli, ["init", "mine", "--from", "export.csv"])
+    assert "no columns look like currents or powers" in str(done.exception)
+
+
+@pytest.mark.parametrize("cell", ["412 mA", "0x1f", "'412'"])
+def test_columns_of_panels_without_numbers_are_named_with_a_cell(cell, folder):
+    (folder / "export.csv").write_text(f"time,iXp,iXm\n2026-01-01,{cell},{cell}\n", "utf-8")
+    done = CliRunner().invoke(cli, ["init", "mine", "--from", "export.csv"])
+    assert "column 'iXp' may be of a panel, but its cells are not numbers" in str(done.exception)
+    assert cell in str(done.exception)
+
+
+@pytest.mark.parametrize("cell", ["58:00.3", "2026-01-31 12:00:00 CET"])
+def test_times_that_cannot_be_read_are_named_with_a_cell(cell, folder):
+    """Spreadsheets show times with a fraction as minutes and seconds, and write them so."""
+    (folder / "export.csv").write_text(f"Time,iXp,iXm\n{cell},100,200\n", "utf-8")
+    done = CliRunner().invoke(cli, ["init", "mine", "--from", "export.csv"])
+    words = f"column 'Time' may hold times, but they cannot be read, such as {cell!r}"
+    assert words in str(done.exception)
+
+
+@pytest.mark.parametrize("date", ["2026-01-31", "31.01.2026", "31/01/2026", "01/31/26"])
+def test_a_date_and_a_time_of_day_in_two_columns_and_a_row_of_units_are_read(date, folder):
+    """Dates alone were taken as times: all samples at midnight."""
+    rows = "".join(f"{date},09:15:{k:02d}.125,{300 + k},{200 - k}\n" for k in range(20))
+    (folder / "export.csv").write_text(f"Date,Time,iXp,iXm\n,,mA,mA\n{rows}", "utf-8")
+    done = CliRunner().invoke(cli, ["init", "mine", "--from", "export.csv"])
+    assert done.exit_code == 0, done.output
+    craft = ss.load_vehicle(folder / "mine" / "vehicle.toml")
+    data = ss.read_telemetry(folder / "export.csv", craft)
+    assert data.attrs["epoch_utc"] == "2026-01-31T09:15:00.125000Z"
+    assert "# not read" not in (folder / "mine" / "vehicle.toml").read_text("utf-8")
+    np.testing.assert_allclose(data["time"], np.arange(20))
+    np.testing.assert_allclose(data["current_A"].sel(panel="+X"), 0.3 + 0.001 * np.arange(20))
 
 
 def export_with_sensors() -> str:

@@ -2,9 +2,10 @@
 
 Cells stay text until the vehicle file has given their meaning, so that an error can name the line and show its content.
 
-JSON has an object per row: one on each line, in a list, or in a page of SatNOGS DB's interface. Keys name the columns. A value
-inside another object or list has both names, joined by a point (`sun.0`, `decoded.eps.u_bat`). A text that contains an object,
-such as the field `decoded` of SatNOGS, is read as that object.
+JSON has an object per row: one on each line, in a list, or in a page of a web interface (SatNOGS DB, Elasticsearch). Keys name the
+columns. A value inside another object or list has both names, joined by a point (`sun.0`, `decoded.eps.u_bat`). A text that
+contains an object, such as the field `decoded` of SatNOGS, is read as that object. An object with a list per column is a table too,
+and so are the forms that pandas writes.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ import json
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -37,10 +39,18 @@ MAX_CELLS = 100_000_000
 """Limit for compressed files, which can hold any number of cells in few bytes and would exceed the memory."""
 
 DELIMITERS = ",;\t"
-"""Possible delimiters of columns; the one that occurs most often in the header is used."""
+"""Possible delimiters of columns; the one that occurs most often in the header is used, and a bar if none of them does."""
 
 DECIMAL_COMMA = re.compile(r"(\s*[-+]?\d*),(\d+([eE][-+]?\d+)?\s*)", re.ASCII)
-"""A number with a decimal comma, as written in files with semicolons between columns."""
+"""A number with a decimal comma, as written in files with semicolons or tabs between columns."""
+
+THOUSANDS = re.compile(
+    r"\s*[-+]?[1-9]\d{0,2}([,. '\u2019\u00a0\u202f])\d{3}(\1\d{3})*([.,]\d+)?\s*", re.ASCII
+)
+"""A number with thousands separators; 1,234 may be one, or have a decimal comma."""
+
+MAX_TITLE_LINES = 50
+"""Number of lines in which the header is sought below the titles of a report."""
 
 SEPARATOR = re.compile(r"sep=(,|;|\t|\\t|\|)", re.IGNORECASE)
 """A first line that names the delimiter for spreadsheet programs."""
@@ -59,7 +69,8 @@ class TextTable(NamedTuple):
     """A table as text cells, indexed by the number of each row in the file and by the name of each column.
 
     `comments` are the texts after `#`; `where` names the file in messages; `data` is the Dataset of a NetCDF file. `counted` says
-    what the number of a row counts: each "line" of a text, or each "row" of a file without lines or of a JSON list.
+    what the number of a row counts: each "line" of a text, or each "row" of a file without lines or of a JSON list. `units` has the
+    text below the name of each column, if there is a row of units.
     """
 
     cells: pd.DataFrame
@@ -68,6 +79,7 @@ class TextTable(NamedTuple):
     where: str = ""
     data: xr.Dataset | None = None
     counted: str = "line"
+    units: Mapping[str, str] = MappingProxyType({})
 
     @property
     def header(self) -> list[str]:
@@ -81,8 +93,8 @@ class TextTable(NamedTuple):
     def numbers(self, names: Sequence[str]) -> np.ndarray:
         """Return columns as numbers (rows, columns), with NaN for cells that are not plain numbers.
 
-        Single cells may be damaged. `TelemetryError` is raised for number formats that are not supported: a decimal comma, or a
-        column that has text with digits in every cell.
+        Single cells may be damaged. `TelemetryError` is raised for number formats that are not supported: a decimal comma,
+        thousands separators (only the largest numbers of a column have them), or text with digits in every cell.
         """
         values = np.empty((len(self.cells), len(names)))
         for k, name in enumerate(names):
@@ -91,11 +103,16 @@ class TextTable(NamedTuple):
             not_numbers = np.flatnonzero(np.isnan(values[:, k])).tolist()
             for i in not_numbers:
                 has_comma = DECIMAL_COMMA.fullmatch(cells[i]) is not None
+                has_thousands = THOUSANDS.fullmatch(cells[i]) is not None
                 no_numbers = len(not_numbers) == len(cells)
-                if has_comma or (no_numbers and any(map(str.isdigit, cells[i]))):
+                has_digits = any(map(str.isdigit, cells[i]))
+                if has_comma or has_thousands or (no_numbers and has_digits):
                     what = "no cell of this column is a number"
                     if has_comma:
                         what = "the number has a decimal comma"
+                        what += " or a thousands separator" * has_thousands
+                    elif has_thousands:
+                        what = "the number has a thousands separator"
                     do = "write plain decimals with a point, such as -1.5e-3"
                     raise TelemetryError(what, got=cells[i], do=do, where=self.place(i, name))
         return values
@@ -113,7 +130,7 @@ def read_table(path: Path) -> TextTable:
     """Read a table; its first bytes, not its name, decide the file type. Raises `TelemetryError`."""
     where = str(path)
     content = read_bytes(path, MAX_FILE_BYTES, "telemetry file", TelemetryError, "check the path")
-    data, comments, counted = None, [], "row"
+    data, comments, counted, units = None, [], "row", {}
     if content.startswith(b"PAR1"):
         cells = _text_cells(_read_parquet(content, where))
     elif content.startswith(b"\x89HDF\r\n\x1a\n"):
@@ -131,28 +148,32 @@ def read_table(path: Path) -> TextTable:
         if text.lstrip()[0] in "{[":
             cells, counted = _read_json(text, where)
         else:
-            (cells, comments), counted = _read_csv(text, where), "line"
+            cells, comments = _read_csv(text, where)
+            (cells, units), counted = _split_units(cells), "line"
     if cells.empty:
         raise TelemetryError("the file holds no samples", where=where)
-    return TextTable(cells, comments, hashlib.sha256(content).hexdigest(), where, data, counted)
+    return TextTable(
+        cells, comments, hashlib.sha256(content).hexdigest(), where, data, counted, units
+    )
 
 
 def _read_csv(text: str, where: str) -> tuple[pd.DataFrame, list[str]]:
     """Return the cells of a CSV text and its comments.
 
     Rows are counted here before pandas parses them, as pandas fills up short rows without a message. As other programs write them,
-    these are accepted: a first line `sep=;`, a delimiter after the last cell, and the header again before a further block of rows.
+    these are accepted: a first line `sep=;`, titles above the header, a delimiter after the last cell, a column without a name, and
+    the header again before a further block of rows.
     """
     lines = text.splitlines()
     stated = SEPARATOR.fullmatch(lines[0].strip('" '))
     if stated:
         lines[0] = ""
+    begin, lines = _find_header(_tabs_for_blanks(lines))
     # comments before the header and between rows are collected
-    begin = next((k for k, line in enumerate(lines) if line.strip() and line[0] != "#"), len(lines))
     comment_lines = [*lines[:begin], *(line for line in lines[begin:] if line.startswith("#"))]
     comments = [comment for line in comment_lines if (comment := line.lstrip("# ").strip())]
     header = lines[begin] if begin < len(lines) else ""
-    delimiter, added_header = max(DELIMITERS, key=header.count), {}
+    delimiter, added_header = _delimiter_of(header), {}
     if stated:
         delimiter = stated[1].replace("\\t", "\t")
     if RAW_FRAME.fullmatch(header.strip()):  # a row of frames and no header: add one as line 0
@@ -168,8 +189,11 @@ def _read_csv(text: str, where: str) -> tuple[pd.DataFrame, list[str]]:
         and line[0] != "#"
         and not (has_names and line == header and number > begin + 1)
     }
-    # after the last name there may be a delimiter, and then also after the last cell of each row
+    # there may be a delimiter after the last cell of each row, and after the last name too or not
     closing = not added_header and header.rstrip(" ").endswith(delimiter)
+    rows_close = closing or all(
+        line.rstrip(" ").endswith(delimiter) for line in list(rows.values())[1:]
+    )
     width = 0  # number of columns, that of the first row
     for number, line in rows.items():
         at = f"{where}, line {number}"
@@ -182,7 +206,7 @@ def _read_csv(text: str, where: str) -> tuple[pd.DataFrame, list[str]]:
                 what, do = f"this is not valid CSV ({error})", "close the quotes, or remove them"
                 raise TelemetryError(what, do=do, where=at) from None
         width = width or n_cells - closing
-        if closing and n_cells == width + 1 and line.rstrip(" ").endswith(delimiter):
+        if rows_close and n_cells == width + 1 and line.rstrip(" ").endswith(delimiter):
             rows[number], n_cells = line.rstrip(" ").removesuffix(delimiter), width
         if n_cells != width:
             what = f"the row has {n_cells} values but the header names {width} columns"
@@ -198,6 +222,10 @@ def _read_csv(text: str, where: str) -> tuple[pd.DataFrame, list[str]]:
         na_filter=False,
     )
     names = cells.iloc[0].str.strip()
+    if has_names:  # such as the index of pandas
+        names = pd.Series(
+            [name or f"column {k}" for k, name in enumerate(names, 1)], names.index, dtype=object
+        )
     for name in names[names.duplicated()]:
         what, do = "two columns share a name", "rename one"
         if re.fullmatch(
@@ -208,19 +236,106 @@ def _read_csv(text: str, where: str) -> tuple[pd.DataFrame, list[str]]:
         raise TelemetryError(what, got=name or "an empty cell", do=do, where=where)
     line_numbers = list(rows)[1:]
     cells = cells.iloc[1:].set_axis(line_numbers).set_axis(names.tolist(), axis=1)
-    if delimiter == ";":  # then a comma is no delimiter
-        cells = cells.map(
-            lambda cell: cell.replace(",", ".") if DECIMAL_COMMA.fullmatch(cell) else cell
-        )
+    if delimiter != ",":
+        cells = cells.apply(_replace_decimal_commas, local=delimiter == ";")
     return cells, comments
+
+
+def _delimiter_of(line: str) -> str:
+    """Return the delimiter of a line of names; names may contain a bar, so that it counts only without any other."""
+    delimiter = max(DELIMITERS, key=line.count)
+    return "|" if delimiter not in line and "|" in line else delimiter
+
+
+def _tabs_for_blanks(lines: list[str]) -> list[str]:
+    """Return lines with tabs between their words if blanks separate the columns, as `numpy.savetxt` writes them, else unchanged.
+
+    Then no row has another delimiter, and all have equally many words, three or more. A comment of as many words may be a header.
+    """
+    rows = [line for line in lines if line.strip() and line[0] != "#"]
+    if any(mark in line for line in rows for mark in (*DELIMITERS, "|", '"')):
+        return lines
+    counts = {len(line.split()) for line in rows}
+    if len(counts) != 1 or max(counts) < 3:
+        return lines
+    return [
+        f"{'# ' * line.startswith('#')}{chr(9).join(words)}" if len(words) in counts else line
+        for line in lines
+        for words in [line.lstrip("# ").split()]
+    ]
+
+
+def _find_header(lines: list[str]) -> tuple[int, list[str]]:
+    """Return the index of the line with the names of the columns, and the lines with that line as a plain one.
+
+    It is the first line that is neither empty nor a comment, with two exceptions. Titles of a report, which fill at most two cells,
+    may stand above a header of three columns or more. The header may be the last comment, as `numpy.savetxt` writes it.
+    """
+    texts = [k for k, line in enumerate(lines) if line.strip() and line[0] != "#"]
+    if not texts:
+        return len(lines), lines
+
+    def split(line: str) -> list[str]:
+        return [cell.strip(' "') for cell in line.split(_delimiter_of(line))]
+
+    def has_number(cells: list[str]) -> bool:
+        return not np.isnan([plain_number(cell.replace(",", ".")) for cell in cells]).all()
+
+    begin, first = texts[0], split(lines[texts[0]])
+    above = lines[begin - 1] if begin else ""
+    names = split(above.lstrip("# "))
+    if above.startswith("#") and len(names) == len(first) > 1 and has_number(first):
+        if all(names) and not has_number(names):
+            return begin - 1, [*lines[: begin - 1], above.lstrip("# "), *lines[begin:]]
+    if len([cell for cell in first if cell]) < 3 and not RAW_FRAME.fullmatch(lines[begin].strip()):
+        for i, k in enumerate(texts[:MAX_TITLE_LINES]):
+            names = split(lines[k])
+            # a row of units may stand between the header and the first numbers
+            below = [split(lines[j]) for j in texts[i + 1 : i + 3]]
+            if all(names) and len(names) > 2 and not has_number(names):
+                if any(len(cells) == len(names) and has_number(cells) for cells in below):
+                    return k, lines
+    return begin, lines
+
+
+def _split_units(cells: pd.DataFrame) -> tuple[pd.DataFrame, dict[str, str]]:
+    """Return a table without the row of units below its header, and the unit of each column; no units if there is no such row.
+
+    A row of units has neither numbers nor times; the row below it has a number.
+    """
+    if len(cells) < 2:
+        return cells, {}
+    first, second = ([cell.strip() for cell in cells.iloc[k]] for k in (0, 1))
+    is_unit = [re.search(r"^[-+.]?\d|\d:\d\d", cell) is None for cell in first]
+    if not any(first) or not all(is_unit) or np.isnan([plain_number(c) for c in second]).all():
+        return cells, {}
+    return cells.iloc[1:], dict(zip(cells.columns, first, strict=True))
+
+
+def _replace_decimal_commas(column: pd.Series, local: bool) -> pd.Series:
+    """Return a column with points in the place of decimal commas.
+
+    It is returned as it is if the commas may separate thousands: each has three digits after it, and the column also has whole
+    numbers. Programs with decimal commas separate columns by semicolons (`local`). In other files a column with a decimal point in
+    some cell is returned as it is too, and so are commas with three digits after each.
+    """
+    commas = [cell for cell in column if DECIMAL_COMMA.fullmatch(cell)]
+    whole = any(cell.strip().isdigit() and cell.strip("0 ") for cell in column)
+    if not commas or ((whole or not local) and all(map(THOUSANDS.fullmatch, commas))):
+        return column
+    if not local and any("." in cell and np.isfinite(plain_number(cell)) for cell in column):
+        return column
+    return column.map(
+        lambda cell: cell.replace(",", ".") if DECIMAL_COMMA.fullmatch(cell) else cell
+    )
 
 
 def _read_json(text: str, where: str) -> tuple[pd.DataFrame, str]:
     """Return the rows of a JSON text as a table of texts, and what its index counts; a cell is empty if its row lacks the key.
 
-    The text is one object a line, a list of objects, or an object whose key `results` holds the list (one page of a web API). Keys
-    of nested objects become columns of their own, in the order of their first occurrence. The index is the "line" of each row, in a
-    list or page the number of the "row" from one.
+    The text is one object a line, a list of objects, or one object with a table in it (:func:`_rows_of_page`). Keys of nested
+    objects become columns of their own, in the order of their first occurrence. The index is the "line" of each row, in a list or
+    page the number of the "row" from one.
     """
     documents = [(number, line) for number, line in enumerate(text.splitlines(), 1) if line.strip()]
     first_line = documents[0][1].strip()
@@ -242,7 +357,10 @@ def _read_json(text: str, where: str) -> tuple[pd.DataFrame, str]:
             what, do = f"this is not valid JSON ({why})", "write one object a line"
             raise TelemetryError(what, do=do, where=f"{where}, line {error_line}") from None
         objects, first_number = [item], line_number
-        page = item.get("results") if isinstance(item, dict) else item
+        page = item if isinstance(item, list) else None
+        if isinstance(item, dict):
+            # of several lines each is a row, with any lists in it
+            page = item.get("results") if len(documents) > 1 else _rows_of_page(item)
         if isinstance(page, list):
             objects, first_number, counted = page, len(rows) + 1, "row"
         for number, row in enumerate(objects, first_number):
@@ -256,6 +374,43 @@ def _read_json(text: str, where: str) -> tuple[pd.DataFrame, str]:
     _require_size(len(rows), len(names), where)
     cells = [[row.get(name, "") for name in names] for row in rows]
     return pd.DataFrame(cells, numbers, list(names), dtype=object), counted
+
+
+def _rows_of_page(page: dict[str, Any], depth: int = 0) -> list[Any] | None:
+    """Return the rows of the table in a JSON object; None if it is a single row.
+
+    The table is the longest list of objects, at any `depth` of other objects; or lists of equal length, one for each column; or an
+    object for each column with the rows 0, 1, ..., as pandas writes it; or rows as lists with their names in `columns`.
+    """
+    if isinstance(page.get("results"), list):
+        return page["results"]
+    if not page:
+        return None
+    names = page.get("columns")
+    lists = page.get("data", page.get("values"))
+    if isinstance(names, list) and isinstance(lists, list) and all(map(_is_list, lists)):
+        return [dict(zip(map(str, names), row, strict=False)) for row in lists]
+    columns = list(page.values())
+    length = len(columns[0]) if isinstance(columns[0], dict | list) else 0
+    if depth == 0 and len(columns) > 1 and length > 1:
+        keys = [str(k) for k in range(length)]
+        if all(isinstance(column, dict) and list(column) == keys for column in columns):
+            columns = [list(column.values()) for column in columns]
+        if all(_is_list(column) and len(column) == length for column in columns):
+            return [dict(zip(page, row, strict=True)) for row in zip(*columns, strict=True)]
+    found = []
+    for item in page.values():
+        if isinstance(item, list) and len(item) > 1 and all(isinstance(row, dict) for row in item):
+            found.append(item)
+        elif isinstance(item, dict) and depth < MAX_DEPTH:
+            found += [rows] if (rows := _rows_of_page(item, depth + 1)) else []
+    found.sort(key=len)
+    return found[-1] if found and len(found[-1]) > len((found[-2:-1] or [[]])[0]) else None
+
+
+def _is_list(item: Any) -> bool:
+    """Return whether a JSON value is a list."""
+    return isinstance(item, list)
 
 
 def _require_size(rows: int, columns: int, where: str) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import codecs
 import math
 import os
 import stat
@@ -73,12 +74,17 @@ def read_bytes(
 
 
 def decode_text(content: bytes, where: str, error_type: type[SunspinError], do: str) -> str:
-    """Decode UTF-8 with or without a byte order mark; raise `error_type` with the line of the first invalid byte."""
+    """Decode UTF-8, or UTF-16 with a byte order mark, as Excel and PowerShell write it.
+
+    Raises `error_type` with the line of the first invalid byte.
+    """
+    is_utf16 = content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
     try:
-        return content.decode("utf-8-sig")
+        return content.decode("utf-16" if is_utf16 else "utf-8-sig")
     except UnicodeDecodeError as error:
         line = content[: error.start].count(b"\n") + 1
-        what, at = "the file is not UTF-8 text", f"{where}, line {line}"
+        encoding = "UTF-16" if is_utf16 else "UTF-8"
+        what, at = f"the file is not {encoding} text", f"{where}, line {line}"
         raise error_type(what, do=do, where=at) from None
 
 

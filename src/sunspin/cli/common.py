@@ -123,7 +123,9 @@ class Output:
         """Print a line of progress on standard error, unless --quiet is given."""
         if not self.quiet:
             with suppress(OSError):  # a log that cannot be written does not stop the work
-                text = "\n".join(map(printable, line.split("\n")))
+                # word by word: blanks that align the columns of a table stay
+                rows = (" ".join(map(printable, row.split(" "))) for row in line.split("\n"))
+                text = "\n".join(rows)
                 print(f"sunspin: {self.command}: {text}", file=sys.stderr, flush=True)
 
     def claim(self) -> None:

@@ -13,7 +13,7 @@ from sunspin.cli.common import PATH, shared
 @click.argument("folder", metavar="A", type=PATH)
 @click.argument("paths", metavar="B|KERNELS...", nargs=-1, required=True, type=PATH)
 @click.option("--frame", help="With kernels: the name of the body frame, such as ROS_LANDER.")
-@click.option("--base", default="J2000", help="With kernels: the inertial frame.")
+@click.option("--base", help="With kernels: the inertial frame. Default: J2000.")
 @click.option("--epoch", help="With kernels: UTC of time zero, if the results have none.")
 @shared()
 def compare(folder, paths, frame, base, epoch, output) -> None:
@@ -30,9 +30,10 @@ def compare(folder, paths, frame, base, epoch, output) -> None:
     if len(paths) == 1 and paths[0].is_dir():  # a results folder, else kernels
         from sunspin.output.compare import compare as compare_folders
 
-        if frame is not None:
-            what, do = "--frame belongs to kernels", "leave it out between two folders"
-            raise InputError(what, got=str(paths[0]), do=do)
+        for name, value in (("--frame", frame), ("--base", base), ("--epoch", epoch)):
+            if value is not None:
+                what, do = f"{name} belongs to kernels", "leave it out between two folders"
+                raise InputError(what, got=str(paths[0]), do=do)
         output.claim()
         output.deliver(compare_folders(folder, paths[0]), main="comparison.csv")
         return
@@ -46,5 +47,5 @@ def compare(folder, paths, frame, base, epoch, output) -> None:
         raise InputError("--frame is missing", do=do)
     from sunspin.output.export.against import against_kernels
 
-    summary, line = against_kernels(folder, paths, frame, base, epoch)
+    summary, line = against_kernels(folder, paths, frame, base or "J2000", epoch)
     output.report(summary, [line])

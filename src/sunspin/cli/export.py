@@ -7,6 +7,9 @@ import click
 from sunspin.cli.changes import Command
 from sunspin.cli.common import PATH, POSITIVE, shared
 
+MOST_UNDECIDED = 5
+"""Number of passes that are not decided that are printed."""
+
 
 @click.command(cls=Command)
 @click.argument("folder", metavar="DIR", type=PATH)
@@ -71,5 +74,9 @@ def export(folder, file_format, frame, epoch, step, output) -> None:
     frame_text = f"{attitude.frame}; {attitude.orientation}".removesuffix("; ")
     counts = f"{count_text(samples, 'attitude')} in {count_text(segments, 'segment')}"
     line = f"{counts}, frame {frame_text}"
-    summary |= {"segments": segments, "files": files}
-    output.report(summary, [line, *(f"  {path}" for path in files)])
+    undecided = list(attitude.undecided.values())
+    summary |= {"segments": segments, "files": files, "undecided": undecided}
+    notes = undecided[:MOST_UNDECIDED]
+    if len(undecided) > len(notes):
+        notes.append(f"and {len(undecided) - len(notes)} more passes that are not decided")
+    output.report(summary, [line, *notes, *(f"  {path}" for path in files)])

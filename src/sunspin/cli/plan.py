@@ -88,7 +88,7 @@ def plan(
         what = "--no-orbit contradicts the elements that are given"
         raise InputError(what, do="give one")
     craft = load_vehicle(vehicle)
-    intervals = parse_numbers(every, "--every")
+    intervals = parse_numbers(every, "--every", expected="intervals in s, such as 10,30,60")
     output.claim()
 
     def report(so_far) -> None:

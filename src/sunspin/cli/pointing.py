@@ -20,7 +20,8 @@ def parse_axis(text: str, name: str) -> Any:
 def parse_station(text: str, name: str) -> tuple[str, float, float, float]:
     """Return a ground station from NAME=LATITUDE,LONGITUDE,ALTITUDE (deg, deg, m); without a name it is called station."""
     called, equals, place = text.rpartition("=")
-    latitude, longitude, altitude = parse_numbers(place, name, 3)
+    expected = "latitude and longitude in deg and altitude in m, such as graz=47.07,15.49,490"
+    latitude, longitude, altitude = parse_numbers(place, name, 3, expected)
     return called if equals else "station", latitude, longitude, altitude
 
 

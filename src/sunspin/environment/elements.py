@@ -158,7 +158,7 @@ def _satrec(given: tuple) -> Any:
 
 
 def parse_elements(text: str, where: str, satellite: str = "") -> tuple[Elements, ...]:
-    """Parse the element sets of one satellite, oldest first: TLE, with or without names, or OMM as KVN, XML, CSV or JSON.
+    """Parse the element sets of one satellite, oldest first: TLE, with or without names or in JSON, or OMM as KVN, XML, CSV, JSON.
 
     A text with several satellites, as catalogues publish them, needs `satellite`: its catalogue number, or its name in capitals or
     small letters. `where` names the file in messages. Raises `InputError` with the file, the line, the offending text and the
@@ -180,11 +180,13 @@ def parse_elements(text: str, where: str, satellite: str = "") -> tuple[Elements
     if messages is None:
         sets = list(_read_tle(text, where))
     else:
-        messages = list(messages)
-        sets = [
-            _from_omm(fields, where if len(messages) == 1 else f"{where}, message {k}")
-            for k, fields in enumerate(messages, 1)
-        ]
+        messages, sets = list(messages), []
+        for k, fields in enumerate(messages, 1):
+            at = where if len(messages) == 1 else f"{where}, message {k}"
+            if lines := _lines_in_message(fields):
+                sets += _read_tle(lines, at)
+            else:
+                sets.append(_from_omm(fields, at))
     if not sets:
         do = "give two lines that begin with 1 and 2, or an OMM"
         raise InputError("no orbital elements here", do=do, where=where)
@@ -354,7 +356,7 @@ def _from_omm(fields: dict[str, Any], where: str) -> Elements:
     """
     # keys without a value have the default
     known = DEFAULTS | {
-        str(key).strip(): text
+        str(key).strip().upper(): text
         for key, value in fields.items()
         if key and value is not None and (text := str(value).strip())
     }
@@ -377,9 +379,10 @@ def _from_omm(fields: dict[str, Any], where: str) -> Elements:
         if np.isnan(plain_number(known[key])):
             raise InputError(f"{key} must be a number", got=known[key], where=where)
     number = _parse_catalogue_number(known["NORAD_CAT_ID"], where)
-    epoch = _parse_epoch(known["EPOCH"], known["TIME_SYSTEM"], where).isoformat(
-        timespec="microseconds"
-    )
+    epoch = known["EPOCH"]
+    if "." not in epoch and "EPOCH_MICROSECONDS" in known:  # former messages of Space-Track
+        epoch = f"{epoch}.{known['EPOCH_MICROSECONDS']:0>6}"
+    epoch = _parse_epoch(epoch, known["TIME_SYSTEM"], where).isoformat(timespec="microseconds")
     given = UNUSED_KEYS | {key: known[key] for key in NUMERIC_KEYS} | {"EPOCH": epoch}
     return _build_elements(tuple(sorted(given.items())), number, known["OBJECT_NAME"][:100], where)
 
@@ -395,12 +398,14 @@ def _parse_epoch(epoch: str, scale: str, where: str) -> datetime:
     Raises `InputError` if the epoch is no time since 1957, or its time scale cannot be converted.
     """
     # groups: date and time to the second, day of the year if there is one, fraction of the second
-    match = re.fullmatch(r"(\d{4}-(?:\d\d-\d\d|(\d{3}))T\d\d:\d\d:\d\d)(\.\d+)?Z?", epoch, re.ASCII)
+    match = re.fullmatch(
+        r"(\d{4}-(?:\d\d-\d\d|(\d{3}))[T ]\d\d:\d\d:\d\d)(\.\d+)?Z?", epoch, re.ASCII
+    )
     try:
         if match is None:
             raise ValueError
         date_format = "%Y-%j" if match[2] else "%Y-%m-%d"
-        given = datetime.strptime(match[1], f"{date_format}T%H:%M:%S")
+        given = datetime.strptime(match[1].replace(" ", "T"), f"{date_format}T%H:%M:%S")
         if given.year < FIRST_YEAR or given.year != int(match[1][:4]):  # day 366 of a common year
             raise ValueError
     except ValueError:
@@ -434,22 +439,46 @@ def _read_kvn(text: str) -> Iterator[dict[str, str]]:
         if key in fields:
             yield fields
             fields = {}
-        fields[key] = value.split("[")[0].strip()
+        fields[key] = value.split("[")[0].strip().removesuffix(";").rstrip()
     if fields:
         yield fields
 
 
 def _read_json(text: str, where: str) -> list[dict[str, Any]]:
-    """Return the messages of a JSON text, an object or a list of objects; raise `InputError` for anything else."""
+    """Return the messages of a JSON text; raise `InputError` for anything else.
+
+    The text is an object, a list of objects, an object that holds such a list (a page of a web interface), or an object a line.
+    """
     try:
         data = json.loads(text)
     except (ValueError, RecursionError):
-        raise InputError("this is not valid JSON", do="give the whole file", where=where) from None
+        try:
+            data = [json.loads(line) for line in text.splitlines() if line.strip()]
+        except (ValueError, RecursionError):
+            do = "give the whole file"
+            raise InputError("this is not valid JSON", do=do, where=where) from None
     messages = data if isinstance(data, list) else [data]
+    if isinstance(data, dict):
+        lists = [item for item in data.values() if isinstance(item, list) and item]
+        messages = lists[0] if len(lists) == 1 else messages
     if not all(isinstance(message, dict) for message in messages):
         do = "give a list of messages with the keys of an OMM"
         raise InputError("the JSON is not an OMM", do=do, where=where)
     return messages
+
+
+def _lines_in_message(fields: dict[str, Any]) -> str:
+    """Return the two lines of elements in a message without the keys of an OMM, after the name if there is one; else an empty text.
+
+    Web interfaces such as those of SatNOGS and N2YO send lines under keys of their own.
+    """
+    texts = {str(key).lower(): value for key, value in fields.items() if isinstance(value, str)}
+    lines = [line.strip() for text in texts.values() for line in text.splitlines()]
+    pair = [next((line for line in lines if line[:2] == start), "") for start in ("1 ", "2 ")]
+    if not all(pair) or "mean_motion" in texts or "MEAN_MOTION" in fields:
+        return ""
+    names = (texts.get(key, "") for key in ("tle0", "object_name", "name", "satname"))
+    return "\n".join([next(filter(None, names), ""), *pair])
 
 
 def parse_xml(text: str, kind: str, where: str) -> ElementTree.Element:
@@ -457,9 +486,12 @@ def parse_xml(text: str, kind: str, where: str) -> ElementTree.Element:
 
     Entities are refused, as a few lines of them can expand to gigabytes.
     """
-    # declarations of entities begin with "<!", as do comments, which are allowed
-    if "<!" in text.replace("<!--", ""):
-        raise InputError("the XML defines entities", do=f"give a plain {kind}", where=where)
+    # declarations begin with "<!", as do comments and plain texts (CDATA), which are allowed
+    if "<!" in text.replace("<!--", "").replace("<![CDATA[", ""):
+        what = "the XML has a document type, which can define entities"
+        raise InputError(
+            what, do=f"remove it (<!DOCTYPE ...>), or give a plain {kind}", where=where
+        )
     try:
         return ElementTree.fromstring(text)
     except (ElementTree.ParseError, ValueError, RecursionError) as error:

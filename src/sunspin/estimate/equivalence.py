@@ -19,6 +19,7 @@ import xarray as xr
 from sunspin.estimate.model import Body
 from sunspin.estimate.settings import INERTIA
 from sunspin.telemetry.gains import prior_sigmas
+from sunspin.telemetry.quality import remove_spikes
 from sunspin.vehicle import Vehicle
 from sunspin.vehicle.response.panels import misalignment_sigma
 
@@ -181,8 +182,8 @@ class Observed:
         name = next((variable for variable in READINGS if variable in telemetry), None)
         lit = np.zeros(len(vehicle.inputs), dtype=bool)
         if name is not None:
-            power = np.nan_to_num(telemetry[name].transpose("time", "panel").values)
-            share = power / vehicle.input_gains
+            power = telemetry[name].transpose("time", "panel").values
+            share = np.nan_to_num(remove_spikes(vehicle, power)) / vehicle.input_gains
             full_sun = 1.0
             # full Sun is 1 only if gains have the unit of the readings, W or A, which is the last letter of the variable's name
             if vehicle.gain_unit != name[-1] and len(share):

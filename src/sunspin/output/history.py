@@ -1,8 +1,9 @@
 """The history of a satellite from results of `rates`: a point for each pass, the trend of the speed, and its jumps.
 
-The speed is taken as a line in time, plus a random walk (unmodelled torques), plus the error of each pass, plus steps at
-jumps. All is linear and Gaussian: for each strength of the walk a Kalman filter whitens the data, and weighted least squares give
-the trend with its error. Both are means over the strengths, weighted by their probability.
+The speed is the sum of a line in time, a random walk (unmodelled torques), steps at jumps, a scatter and the error of each pass.
+The scatter is independent from pass to pass: a pass shows the speed of a tumbling body at some phase of its nutation. All is linear
+and Gaussian: for each strength of walk and scatter a Kalman filter whitens the data, and weighted least squares give the trend with
+its error. Both are means over the strengths, weighted by their probability.
 """
 
 from __future__ import annotations
@@ -24,8 +25,8 @@ from sunspin.vehicle import Vehicle
 
 DAY_S = 86_400.0
 
-STRENGTHS = 30
-"""Number of trial strengths of the random walk, of which one is zero."""
+STRENGTHS = 12
+"""Number of trial strengths of the random walk, and of the scatter; one of each is zero."""
 
 JUMP = 25.0
 """Twice the gain in log likelihood from which a step is a jump: five sigma, to which 2 log(number of places) is added."""
@@ -40,13 +41,14 @@ SPARE = 3
 class Trend(NamedTuple):
     """The speed as a line in time, with steps.
 
-    `slope`, `slope_sigma` rad/s per day; `walk` rad/s per square root of a day; `jumps`: index of the first pass after each jump,
-    with its size and error in rad/s.
+    `slope`, `slope_sigma` rad/s per day; `walk` rad/s per square root of a day; `scatter` of a pass, rad/s; `jumps`: index of the
+    first pass after each jump, with its size and error in rad/s.
     """
 
     slope: float
     slope_sigma: float
     walk: float
+    scatter: float
     jumps: list[tuple[int, float, float]]
 
 
@@ -67,8 +69,9 @@ def history(folders: Sequence[str | Path]) -> xr.Dataset:
         size of the angular momentum of the body in N m s; `momentum_sun_rad`, its angle to the Sun; `momentum_J2000` (time, axis),
         its direction where an orbit was given. These three are NaN without an inertia.
 
-        attrs: `trend`, `trend_sigma` (rad/s per day), `walk` (rad/s per square root of a day), from the decided passes, NaN if too
-        few; `jumps`: a sentence for each; `vehicles_differ`: two folders whose vehicle files differ in panels or inertia, else "".
+        attrs: `trend`, `trend_sigma` (rad/s per day), `walk` (rad/s per square root of a day), `scatter` (rad/s), from the decided
+        passes, NaN if too few; `jumps`: a sentence for each; `vehicles_differ`: two folders whose vehicle files differ in panels or
+        inertia, else "".
 
     Raises
     ------
@@ -87,11 +90,11 @@ def history(folders: Sequence[str | Path]) -> xr.Dataset:
     if len(vehicles) > 1:
         what = "the results are of several satellites"
         raise InputError(what, got=", ".join(vehicles[:4]), do="give those of one")
-    rows.sort(key=lambda row: row["utc"])
+    rows.sort(key=lambda row: row["start"])
     for earlier, later in zip(rows, rows[1:], strict=False):
-        if earlier["utc"] == later["utc"]:
+        if later["start"] < earlier["end"] or later["start"] == earlier["start"]:
             what = "two results hold the same pass"
-            got = f"{earlier['folder']} and {later['folder']}, {later['utc']}Z"
+            got = f"{earlier['folder']} and {later['folder']}, {later['start']}Z"
             raise InputError(what, got=got, do="give one of them")
     epoch = rows[0]["utc"]
     time = np.array([(row["utc"] - epoch) / np.timedelta64(1, "ms") / 1e3 for row in rows])
@@ -144,6 +147,7 @@ def history(folders: Sequence[str | Path]) -> xr.Dataset:
         trend=trend.slope,
         trend_sigma=trend.slope_sigma,
         walk=trend.walk,
+        scatter=trend.scatter,
         jumps="\n".join(jumps),
         results=len(paths),
     )
@@ -174,7 +178,7 @@ def _read_passes(folder: Path) -> list[dict[str, Any]]:
     if results.command != "rates":
         what = f"the folder holds results of `sunspin {results.command}`"
         raise InputError(what, do="give results of `sunspin rates`", where=str(folder))
-    data = results.first_with("omega_mean_B", "utc_at", "decided")
+    data = results.first_with("omega_mean_B", "utc_at", "utc_start", "utc_end", "decided")
     if data is None or results.problems:
         why = results.problems[0] if results.problems else "rates.nc is missing"
         raise InputError(
@@ -193,7 +197,14 @@ def _read_passes(folder: Path) -> list[dict[str, Any]]:
         rows.append(
             common
             | {
-                "utc": np.datetime64(str(row["utc_at"].values).rstrip("Z"), "ms"),
+                **{
+                    name: np.datetime64(str(row[of_pass].values).rstrip("Z"), "ms")
+                    for name, of_pass in (
+                        ("utc", "utc_at"),
+                        ("start", "utc_start"),
+                        ("end", "utc_end"),
+                    )
+                },
                 "decided": bool(row["decided"]),
                 "why_not_decided": str(row["why_not_decided"].values),
                 "samples": int(row["samples"]),
@@ -266,7 +277,7 @@ def fit_trend(t_days: np.ndarray, speed: np.ndarray, sigma: np.ndarray) -> Trend
     """Return the trend of speeds (n) in rad/s with errors `sigma` (n) at increasing times (n) in days; NaN if there are too few."""
     n = len(speed)
     if n < 2 + SPARE or not np.ptp(t_days) > 0:
-        return Trend(np.nan, np.nan, np.nan, [])
+        return Trend(np.nan, np.nan, np.nan, np.nan, [])
     columns = [np.ones(n), t_days - t_days.mean()]
     # a step before each pass but the first two and the last: fewer passes on one side would be one outlier
     places = list(range(2, n - 1))
@@ -284,18 +295,21 @@ def fit_trend(t_days: np.ndarray, speed: np.ndarray, sigma: np.ndarray) -> Trend
         best = _fit(t_days, speed, sigma, np.array(columns))
     value, error = best.value[0], np.sqrt(np.diag(best.covariance[0]))
     sized = [(k, float(value[2 + i]), float(error[2 + i])) for i, k in enumerate(jumps)]
-    return Trend(float(value[1]), float(error[1]), float(best.walk[0]), sorted(sized))
+    walk, scatter = float(best.walk[0]), float(best.scatter[0])
+    return Trend(float(value[1]), float(error[1]), walk, scatter, sorted(sized))
 
 
 class _Fits(NamedTuple):
     """Fits of k models.
 
-    `log_likelihood` (k): the largest over all strengths of the walk. `walk` (k), `value` (k, m) of the coefficients of the columns
-    and `covariance` (k, m, m): means over the strengths. No walk is as likely before the data as all other strengths together.
+    `log_likelihood` (k): the largest over all strengths of walk and scatter. `walk` (k), `scatter` (k), `value` (k, m) of the
+    coefficients of the columns and `covariance` (k, m, m): means over the strengths. No walk is as likely before the data as all
+    other strengths together, and so is no scatter.
     """
 
     log_likelihood: np.ndarray
     walk: np.ndarray
+    scatter: np.ndarray
     value: np.ndarray
     covariance: np.ndarray
 
@@ -307,35 +321,38 @@ def _fit(
     columns: np.ndarray,
     extra: np.ndarray | None = None,
 ) -> _Fits:
-    """Fit y (n) with the columns (m, n), and with each of the columns `extra` (k, n) in turn, for each strength of the walk."""
+    """Fit y (n) with the columns (m, n) and each of the columns `extra` (k, n) in turn, for all strengths of walk and scatter."""
     trials = np.zeros((1, 0, len(y))) if extra is None else extra[:, None]
     k, m = len(trials), len(columns)
-    # rad^2/s^2 per day: from a walk that is lost in the errors to one that makes all of the scatter
-    largest = 10 * np.ptp(y) ** 2 / np.ptp(t) + 1e-300
-    least = min(1e-3 * np.median(sigma) ** 2 / np.ptp(t), largest / 10)
-    strengths = np.concatenate([[0.0], np.geomspace(least, largest, STRENGTHS - 1)])
+    # variances, rad^2/s^2: from one that is lost in the errors to one that makes all of the scatter; the walk has it over all days
+    largest = 3 * np.ptp(y) ** 2 + 1e-300
+    least = min(1e-3 * np.median(sigma) ** 2, largest / 10)
+    variances = np.concatenate([[0.0], np.geomspace(least, largest, STRENGTHS - 1)])
+    prior_of_one = np.where(variances > 0, 1 / (STRENGTHS - 1), 1.0)
+    walks, scatters = (grid.ravel() for grid in np.meshgrid(variances / np.ptp(t), variances))
     log_likelihood, restricted, values, covariances = [], [], [], []
     stacked = np.concatenate([y[None], columns, trials.reshape(-1, len(y))])
-    for strength in strengths:
-        white, log_determinant = _whiten(t, sigma, strength, stacked)
+    for walk, scatter in zip(walks, scatters, strict=True):
+        white, log_determinant = _whiten(t, np.sqrt(sigma**2 + scatter), walk, stacked)
         shared = np.broadcast_to(white[1 : 1 + m], (k, m, len(y)))
         design = np.concatenate([shared, white[1 + m :].reshape(trials.shape)], axis=1)
         covariance = np.linalg.inv(design @ np.swapaxes(design, 1, 2))
         value = np.einsum("kij,kj->ki", covariance, design @ white[0])
         residual = white[0] - np.einsum("ki,kin->kn", value, design)
         log_likelihood.append(-0.5 * (np.sum(residual**2, axis=1) + log_determinant))
-        # of the strength alone, the coefficients integrated out: else the walk would come out too small
+        # of the strengths alone, the coefficients integrated out: else they would come out too small
         restricted.append(log_likelihood[-1] + 0.5 * np.linalg.slogdet(covariance)[1])
         values.append(value)
         covariances.append(covariance)
-    prior = np.where(strengths > 0, 1 / (STRENGTHS - 1), 1.0)[:, None]
+    prior = np.outer(prior_of_one, prior_of_one).ravel()[:, None]
     weight = prior * np.exp(restricted - np.max(restricted, axis=0))
     weight /= weight.sum(axis=0)
     mean = np.einsum("sk,ski->ki", weight, np.array(values))
     apart = np.array(values) - mean
     spread = np.einsum("sk,ski,skj->kij", weight, apart, apart)
     covariance = np.einsum("sk,skij->kij", weight, np.array(covariances)) + spread
-    return _Fits(np.max(log_likelihood, axis=0), np.sqrt(strengths) @ weight, mean, covariance)
+    sizes = np.sqrt(walks) @ weight, np.sqrt(scatters) @ weight
+    return _Fits(np.max(log_likelihood, axis=0), *sizes, mean, covariance)
 
 
 def _whiten(

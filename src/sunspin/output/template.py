@@ -16,6 +16,7 @@ from sunspin.telemetry.reader import columns_of_readings
 from sunspin.telemetry.suggest import (
     AxisColumns,
     Suggestion,
+    explain_missing,
     suggest_section,
     toml_string,
 )
@@ -66,12 +67,8 @@ def write_vehicle_for(folder: Path, telemetry: Path) -> tuple[Path, list[str]]:
     table = read_table(telemetry)
     suggestion = suggest_section(table)
     if suggestion is None:
-        what = "no columns look like times and panels on two faces"
+        what, do = explain_missing(table)
         shown = ", ".join(table.header[:SHOWN]) + (", ..." if len(table.header) > SHOWN else "")
-        do = (
-            "names such as `time` or `ts_ms`, `px`, `I_X+ [mA]` are recognised: rename the columns, or write [telemetry] by "
-            "hand (`sunspin init DIR` has an example)"
-        )
         raise TelemetryError(what, got=shown, do=do, where=str(telemetry))
     text = _template("vehicle.toml")
     panels = "".join(

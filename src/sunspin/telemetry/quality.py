@@ -355,7 +355,9 @@ def _measure_light(vehicle: Vehicle, t_s: np.ndarray, readings: _Readings) -> _L
     )
     sound = kept & ~spike.any(axis=1)
     missed = find_lost_panels(vehicle, t_s[sound], relative[sound] / full, noise / full)
-    dead = _find_dead_panels(relative[kept], full) | missed
+    # a fill value is no signal; if most samples are beyond full Sun, the unit is wrong
+    misread = spike.any(axis=1).sum() > MISREAD_SHARE * len(value)
+    dead = _find_dead_panels(np.where(spike & ~misread, np.nan, relative)[kept], full) | missed
     usable = np.where(np.isfinite(value) & ~spike & ~dead, value, 0.0)
 
     bright = brightness(vehicle, usable)

@@ -20,6 +20,7 @@ import xarray as xr
 from sunspin.base.errors import TelemetryError
 from sunspin.base.provenance import provenance
 from sunspin.base.tables import TextTable, read_table
+from sunspin.telemetry.dates import rewrite_dates
 from sunspin.telemetry.layout import join_packets, pivot_series
 from sunspin.telemetry.noise import lowest_reading
 from sunspin.telemetry.sensors import ABSURD, read_columns, read_sensors, sensor_columns
@@ -117,6 +118,9 @@ def read_telemetry(path: Any, vehicle: Vehicle, *, columns: Sequence[str] = ()) 
         what = "the file holds raw frames and no readings"
         do = "turn them into a table first with `sunspin decode`"
         raise TelemetryError(what, do=do, where=str(path))
+    if form.date_column is not None:
+        require_column(table, form.date_column, "the date")
+    table = rewrite_dates(form, table)
     table, layout_notes = pivot_series(table, form.time_column, columns_of_readings(vehicle))
     header = set(table.header)
     sensors = read_sensors(vehicle, table)

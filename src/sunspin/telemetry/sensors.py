@@ -92,14 +92,16 @@ def read_sensors(vehicle: Vehicle, table: TextTable) -> dict[str, Any]:
         sensor = vehicle.sensors.with_columns.get(name)
         if sensor is not None and table.has(sensor.names):
             # zero, scale, signs and axes of the vehicle file are applied here
-            dimension, value, attrs = sensor.interpret(_numbers(table, sensor.names))
+            dimension, value, attrs = sensor.interpret(read_numbers(table, sensor.names))
             variables[variable] = (("time", dimension) if dimension else "time", value, attrs)
     speed_columns = [wheel.speed_column for wheel in vehicle.wheels if wheel.speed_column]
     if speed_columns and table.has(speed_columns):
         speed = np.full((len(table.cells), len(vehicle.wheels)), np.nan)
         for k, wheel in enumerate(vehicle.wheels):
             if wheel.speed_column:
-                speed[:, k] = wheel.speed_scale_rad_s * _numbers(table, [wheel.speed_column])[:, 0]
+                speed[:, k] = (
+                    wheel.speed_scale_rad_s * read_numbers(table, [wheel.speed_column])[:, 0]
+                )
         attrs = {"units": "rad s-1", "long_name": "speed of each wheel relative to the body"}
         variables["wheel_speed_rad_s"] = (("time", "wheel"), speed, attrs)
     return variables
@@ -110,7 +112,7 @@ def read_columns(table: TextTable, names: Sequence[str]) -> dict[str, Any]:
     if not names:
         return {}
     about = {"units": "1", "long_name": "reading of a column, as the file has it"}
-    return {"column_reading": (("time", "column"), _numbers(table, list(names)), about)}
+    return {"column_reading": (("time", "column"), read_numbers(table, list(names)), about)}
 
 
 def _sun_variables(vehicle: Vehicle, table: TextTable) -> dict[str, Any]:
@@ -127,7 +129,7 @@ def _sun_variables(vehicle: Vehicle, table: TextTable) -> dict[str, Any]:
         if sensor.light_column is None:  # then it is assumed to see the Sun always
             lit[:, k] = True
             continue
-        light = np.nan_to_num(_numbers(table, [sensor.light_column])[:, 0], nan=-np.inf)
+        light = np.nan_to_num(read_numbers(table, [sensor.light_column])[:, 0], nan=-np.inf)
         lit[:, k] = light > sensor.lit_above
         if sensor.y_turned_above is not None:
             excess = light - sensor.y_turned_above
@@ -223,7 +225,7 @@ def _direction_variables(
     }
 
 
-def _numbers(table: TextTable, names: Any) -> np.ndarray:
+def read_numbers(table: TextTable, names: Any) -> np.ndarray:
     """Return the readings (n, n_column) of columns; NaN for cells without a number and for fill values."""
     values = table.numbers(names)
     values = np.where(np.abs(values) < ABSURD, values, np.nan)
@@ -235,7 +237,7 @@ def _numbers(table: TextTable, names: Any) -> np.ndarray:
 
 def _sun_vector(form: SunVector, table: TextTable) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return the directions (n, 3) of a Sun vector, their information matrices (n, 3, 3), and whether it sees the Sun (n)."""
-    value = form.sign * _numbers(table, form.names)
+    value = form.sign * read_numbers(table, form.names)
     length = np.linalg.norm(value, axis=1)
     longest = float(np.nanmax(length, initial=0.0))
     sees = length > max(SHORTEST * longest, 1 / ABSURD)
@@ -248,11 +250,11 @@ def _sun_vector(form: SunVector, table: TextTable) -> tuple[np.ndarray, np.ndarr
 
 def _angles(sensor: SunSensor, table: TextTable, y_turned: np.ndarray) -> np.ndarray:
     """Return the Sun's angles (n, 2), rad, from a sensor's normal towards its x and y axes; NaN if not measured."""
-    x = sensor.x_scale * _numbers(table, [sensor.x_column])[:, 0] - sensor.x_bias_rad
+    x = sensor.x_scale * read_numbers(table, [sensor.x_column])[:, 0] - sensor.x_bias_rad
     y = np.full(len(x), np.nan)
     if sensor.y_column is not None and sensor.y_scale is not None:
         scale = np.where(y_turned, sensor.y_turned_scale or 0.0, sensor.y_scale)
-        y = scale * _numbers(table, [sensor.y_column])[:, 0] - sensor.y_bias_rad
+        y = scale * read_numbers(table, [sensor.y_column])[:, 0] - sensor.y_bias_rad
     return np.clip(np.stack([x, y], axis=1), -STEEPEST_RAD, STEEPEST_RAD)
 
 

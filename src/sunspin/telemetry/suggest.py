@@ -14,32 +14,43 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sunspin.base.tables import TextTable
+from sunspin.base.tables import DECIMAL_COMMA, THOUSANDS, TextTable
 from sunspin.base.untrusted import plain_number
+from sunspin.telemetry.dates import TIME_OF_DAY, find_day_first, has_no_order, rewrite_date
 from sunspin.telemetry.layout import pivot_series
+from sunspin.telemetry.sensors import read_numbers
 from sunspin.telemetry.times import parse_utc
 
 PLUS = ("+", "p", "pos", "plus", "positive")
 """Words for the plus side of an axis; the other signs of `FACE` are those of its minus side."""
 
 FACE = re.compile(
-    r"(?<![a-z])(?:(?P<before>[+-]|pos|plus|positive|neg|minus|negative|[pmn])[ _]*(?P<first>[xyz])"
-    r"|(?P<second>[xyz])[ _]*(?P<after>[+-]|pos|plus|positive|neg|minus|negative|[pmn]))(?![a-z])"
+    r"(?:(?P<before>[+-]|{begin}(?:pos|plus|positive|neg|minus|negative|[pmn]))[ _]*(?P<first>[xyz])"
+    r"|{begin}(?P<second>[xyz])[ _(]*(?P<after>[+-]|pos|plus|positive|neg|minus|negative|[pmn]))(?![a-z])".replace(
+        "{begin}", r"(?:(?<![a-z])|(?<=(?<![a-z])[iptuv]))"
+    )
 )
-"""A face in a name in small letters whose words are separated by blanks: the sign before or after the axis."""
+"""A face in a name in small letters whose words are separated by blanks: the sign before or after the axis. One letter may stand
+before it, as in IXP (current), PXP (power) or TXP."""
 
 UNITS = {
     "a": ("current_A", 1.0),
     "ma": ("current_A", 1e-3),
     "ua": ("current_A", 1e-6),
+    "na": ("current_A", 1e-9),
     "w": ("power_W", 1.0),
     "mw": ("power_W", 1e-3),
+    "uw": ("power_W", 1e-6),
+    "%": ("power_W", 0.01),
 }
 """Unit in small letters -> quantity, and its size in A or W."""
 
+UNIT_WORD = re.compile(r"(?P<prefix>milli|micro|)(?:(?P<A>amp(?:[eè]re)?s?)|(?P<W>watts?))")
+"""A unit of currents or powers as a word, in small letters."""
+
 WORDS = {
     "current_A": ("i", "cur", "curr", "current", "currents", "amp", "amps", "isol"),
-    "power_W": ("pwr", "power", "watt", "watts"),
+    "power_W": ("p", "pwr", "power", "watt", "watts"),
     "": (
         *("v", "u", "volt", "volts", "voltage", "voltages", "vsol", "mv"),
         *("t", "tmp", "temp", "temps", "temperature", "degc", "c", "k"),
@@ -73,6 +84,9 @@ MILLI = 30.0
 TIME_WORDS = ("time", "timestamp", "date", "datetime", "utc", "unix", "epoch", "uptime", "ts", "t")
 """Words in the name of a time column, the likeliest first."""
 
+RECEIVED_WORDS = ("received", "receive", "recv", "reception", "rx", "ert", "ground", "downlink")
+"""Words in the name of a column of times of reception, which are later than those of the samples."""
+
 COUNT_WORDS = ("adc", "raw", "count", "counts", "cnt", "dn", "lsb")
 """Words in the name of a column of raw counts of a converter."""
 
@@ -89,12 +103,15 @@ SENSOR_UNITS = {
         "°/s": 1 / DEG_PER_RAD,
         "rad/s": 1.0,
     },
-    "magnetometer": {"nt": 1e-9, "ut": 1e-6, "µt": 1e-6, "mg": 1e-7, "t": 1.0},
+    "magnetometer": {"nt": 1e-9, "ut": 1e-6, "mg": 1e-7, "t": 1.0},
 }
 """Table of the vehicle file -> unit in small letters -> its size in rad/s or T."""
 
 FIRST_UNIX_S, LAST_UNIX_S = 9e8, 5e9
 """Unix times of satellites with such telemetry, s: from 1998 to 2128."""
+
+FIRST_DAY, LAST_DAY, MOST_DAYS = 35_000.0, 62_000.0, 0.05
+"""Days of a spreadsheet from 1995 to 2069, and the largest interval of samples: as seconds it would be shorter than any."""
 
 READ_SHARE = 0.5
 """Share of the cells that must be dates or numbers for a column to be taken as one of times or readings."""
@@ -167,7 +184,8 @@ def suggest_section(table: TextTable, panels: dict[str, str] | None = None) -> S
             if panels is None or face in panels
         ),
     ]
-    used = {time_column, *group.columns.values()}
+    dates = {name for name in table.header if f"date_column = {toml_string(name)}" in time_lines}
+    used = {time_column, *dates, *group.columns.values()}
     if others := [name for name in table.header if name not in used]:
         shown = ", ".join(map(toml_string, others[:12])) + (", ..." * (len(others) > 12))
         lines.append(f"# not read: {shown}")
@@ -177,12 +195,36 @@ def suggest_section(table: TextTable, panels: dict[str, str] | None = None) -> S
             f"# perhaps panels whose names say no face, such as wings; each needs a [[panel]]: {names}"
         )
     largest = {
-        face: group.scale * float(np.nanmax(table.numbers([column]), initial=-np.inf))
+        face: group.scale * float(np.nanmax(read_numbers(table, [column]), initial=-np.inf))
         for face, column in group.columns.items()
     }
     if group.quantity in ANGLE_WORDS:
         largest = dict.fromkeys(largest, np.nan)
     return Suggestion("\n".join(lines) + "\n", group.columns, largest, _sensor_columns(table, used))
+
+
+def explain_missing(table: TextTable) -> tuple[str, str]:
+    """Return in words why no section is suggested for a table (times, panels or numbers are missing), and what to do."""
+    for column in table.header:
+        cell = next((cell.strip() for cell in table.cells[column] if cell.strip()), "")
+        is_face = FACE.search(_words(_split_unit(column)[0])) is not None
+        if is_face and any(map(str.isdigit, cell)) and not _is_numeric(table, column):
+            what = f"column {column!r} may be of a panel, but its cells are not numbers, such as {cell[:30]!r}"
+            return what, "write plain decimals, such as -1.5e-3"
+    times = "times" if _time_column(table) is None else ""
+    if times:
+        for column in table.header:
+            cell = next((cell.strip() for cell in table.cells[column] if cell.strip()), "")
+            is_named = bool(set(re.findall(r"[a-z]+", _words(column))) & set(TIME_WORDS))
+            if is_named and any(map(str.isdigit, cell)) and not _is_numeric(table, column):
+                what = f"column {column!r} may hold times, but they cannot be read, such as {cell[:40]!r}"
+                return what, "write them as 2026-01-31T23:59:59Z"
+    panels = "" if _best_group(table) else "currents or powers of panels on two faces"
+    do = (
+        "names such as `time` or `ts_ms`, `px`, `I_X+ [mA]` are recognised: rename the columns, or write [telemetry] by hand "
+        "(`sunspin init DIR` has an example)"
+    )
+    return f"no columns look like {' and '.join(filter(None, (times, panels)))}", do
 
 
 def _sensor_columns(table: TextTable, used: set[str]) -> dict[str, AxisColumns]:
@@ -202,7 +244,7 @@ def _sensor_columns(table: TextTable, used: set[str]) -> dict[str, AxisColumns]:
         if len(columns) < 3:
             continue
         words = set(re.findall(r"[a-z]+", template))
-        _, unit = _split_unit(columns["x"])
+        _, unit = _unit_of(table, columns["x"])
         for sensor, known in SENSOR_WORDS.items():
             if sensor not in sensors and words & set(known):
                 sizes = SENSOR_UNITS[sensor]
@@ -225,12 +267,32 @@ def toml_string(name: str) -> str:
 def _split_unit(name: str) -> tuple[str, str]:
     """Return the name of a column without its unit, and the unit in small letters, empty if there is none.
 
-    The unit is in brackets, or the last word after a blank, underscore or dot. As a word, A and W are written in capital letters.
+    The unit is in brackets, or the last word after a blank, underscore, dot, comma or slash, or the first one. As a word, A and W
+    are written in capital letters, and are no first word.
     """
-    match = re.fullmatch(r"(.*?)\s*[\[(]([^\])]*)[\])]\s*", name) or re.fullmatch(
-        r"(.*)[_ .](mA|ma|uA|ua|A|mW|mw|W|deg|rad)", name
+    if first := re.fullmatch(r"([muµμ][AW])[_ .]+(.*)", name):
+        name = f"{first[2]} {first[1]}"
+    in_brackets = re.fullmatch(r"(.*?)\s*[\[(]([^\])]*)[\])]\s*", name)
+    if in_brackets and FACE.fullmatch(in_brackets[2].strip().lower()):  # such as I[+X]
+        return name, ""
+    match = in_brackets or re.fullmatch(
+        r"(.*?)\s*[_ .,/]\s*([muµμ]A|[mu]a|A|[muµμ]W|[mu]w|W|deg|rad)", name
     )
-    return (match[1], match[2].strip().lower()) if match else (name, "")
+    return (match[1], _plain_unit(match[2])) if match else (name, "")
+
+
+def _plain_unit(text: str) -> str:
+    """Return a unit in small letters, with u for micro and one spelling of ampere and watt."""
+    unit = text.strip(" []()").lower().replace("µ", "u").replace("μ", "u")
+    if word := UNIT_WORD.fullmatch(unit):
+        unit = {"milli": "m", "micro": "u", "": ""}[word["prefix"]] + ("a" if word["A"] else "w")
+    return unit
+
+
+def _unit_of(table: TextTable, column: str) -> tuple[str, str]:
+    """Return the name of a column without its unit, and the unit by its name or by the row of units, empty if there is none."""
+    name, unit = _split_unit(column)
+    return name, unit or _plain_unit(table.units.get(column, ""))
 
 
 def _judge_angles(
@@ -245,7 +307,7 @@ def _judge_angles(
     other_words = {word for known in WORDS.values() for word in known}
     if (unit and unit not in ANGLE_UNITS) or (not named and words & other_words):
         return None
-    value = {face: table.numbers([column])[:, 0] for face, column in columns.items()}
+    value = {face: read_numbers(table, [column])[:, 0] for face, column in columns.items()}
     largest = max(float(np.nanmax(np.abs(one), initial=0.0)) for one in value.values())
     below = any(np.nanmin(one, initial=0.0) < -0.1 * largest for one in value.values())
     pairs = [(value.get(f"+{axis}"), value.get(f"-{axis}")) for axis in "XYZ"]
@@ -291,7 +353,7 @@ def _best_group(table: TextTable) -> _Group | None:
     """Return the group of columns that are most probably currents or powers of panels; None if no group has two faces."""
     groups: dict[tuple[str, str], dict[str, str]] = defaultdict(dict)
     for column in table.header:
-        name, unit = _split_unit(column)
+        name, unit = _unit_of(table, column)
         words = _words(name)
         face = FACE.search(words)
         if face is None or not _is_numeric(table, column):
@@ -317,16 +379,17 @@ def _judge_quantity(
     """Return quantity, size of the unit and the reason for a group; an empty quantity if it is neither current nor power."""
     if unit in UNITS:
         return *UNITS[unit], f"{unit.replace('w', 'W').replace('a', 'A')}, by the header"
-    words = set(re.findall(r"[a-z]+", template))
-    if (angles := _judge_angles(table, words, unit, columns)) is not None:
+    words, in_counts = set(re.findall(r"[a-z]+", template)), unit in COUNT_WORDS
+    angles = None if in_counts else _judge_angles(table, words, unit, columns)
+    if angles is not None:
         return angles
     quantities = [name for name, known in WORDS.items() if words & set(known)]
-    if unit or quantities == [""]:
+    if (unit and not in_counts) or quantities == [""]:
         return "", 1.0, ""
-    if words & set(COUNT_WORDS):
+    if in_counts or words & set(COUNT_WORDS):
         return "current_A", 1.0, "raw counts: A in this file and in what is printed means counts"
     quantity = next((name for name in quantities if name), "power_W")
-    largest = float(np.nanmax(table.numbers(list(columns.values())), initial=0.0))
+    largest = float(np.nanmax(read_numbers(table, list(columns.values())), initial=0.0))
     letter = quantity[-1]
     guess = "check this: no column says what it holds; " if not any(quantities) else ""
     if largest > MILLI:
@@ -335,9 +398,14 @@ def _judge_quantity(
 
 
 def _is_numeric(table: TextTable, column: str) -> bool:
-    """Return whether enough cells of a column are numbers."""
+    """Return whether enough cells of a column are numbers, also with commas or thousands separators, which are refused later."""
     cells = [cell for cell in table.cells[column] if cell.strip()]
-    return bool(cells) and np.isfinite([plain_number(c) for c in cells]).mean() >= READ_SHARE
+    numbers = [
+        np.isfinite(plain_number(cell))
+        or any(notation.fullmatch(cell) for notation in (DECIMAL_COMMA, THOUSANDS))
+        for cell in cells
+    ]
+    return bool(cells) and float(np.mean(numbers)) >= READ_SHARE
 
 
 def _time_column(table: TextTable) -> tuple[str, list[str]] | None:
@@ -346,12 +414,40 @@ def _time_column(table: TextTable) -> tuple[str, list[str]] | None:
     for place, column in enumerate(table.header):
         words = set(re.findall(r"[a-z]+", _words(column)))
         by_name = [k for k, word in enumerate(TIME_WORDS) if word in words]
-        lines = _describe_times(table.cells[column].tolist(), bool(by_name))
+        cells = table.cells[column].tolist()
+        lines = _describe_times(cells, bool(by_name))
         if lines is not None:
-            # dates before numbers, then by the name, then the first
             is_date = lines[0].startswith('time_format = "utc"')
-            ranked.append((not is_date, min(by_name, default=99), place, column, lines))
-    return min(ranked)[3:] if ranked else None
+            scale = next((scale for scale in ("gps", "tai") if scale in words), "")
+            has_zone = any(
+                re.search(r"(Z|[+-]\d\d:?\d\d)$", rewrite_date(cell)) for cell in cells[:1]
+            )
+            if scale and "elapsed" not in lines[0] and not (is_date and has_zone):
+                stated = f'time_format = "{scale}"'
+                lines = [_entry(stated, "by the name of the column; check this"), *lines[1:]]
+            # dates with times of day before dates alone, these before numbers, then UTC of samples, by the name, then the first
+            rank = 2 - is_date * (2 if any(":" in cell or "T" in cell for cell in cells) else 1)
+            is_other = bool(scale) or bool(words & set(RECEIVED_WORDS))
+            ranked.append((rank, is_other, min(by_name, default=99), place, column, lines))
+    if not ranked:
+        return None
+    rank, *_, column, lines = min(ranked)
+    if rank == 1 and (clock := _clock_column(table)) is not None:
+        return clock, [_entry(f"date_column = {toml_string(column)}", ""), *lines]
+    return column, lines
+
+
+def _clock_column(table: TextTable) -> str | None:
+    """Return the first column of times of day without dates; None if there is none."""
+    for column in table.header:
+        cells = [cell.strip().lower() for cell in table.cells[column] if cell.strip()]
+        if (
+            cells
+            and np.mean([bool(TIME_OF_DAY.fullmatch(cell)) and ":" in cell for cell in cells])
+            >= READ_SHARE
+        ):
+            return column
+    return None
 
 
 def _describe_times(cells: list[str], is_named: bool) -> list[str] | None:
@@ -359,9 +455,17 @@ def _describe_times(cells: list[str], is_named: bool) -> list[str] | None:
     filled = [cell.strip() for cell in cells if cell.strip()]
     if not filled:
         return None
-    dates = sum(parse_utc(cell) is not None for cell in filled if not cell.isdigit())
+    day_first = find_day_first(filled)
+    ordered = [rewrite_date(cell, day_first is not False) for cell in filled]
+    dates = sum(parse_utc(cell) is not None for cell in ordered if not cell.isdigit())
     if dates >= READ_SHARE * len(filled):
-        return [_entry('time_format = "utc"', "dates; add time_zone if they are local times")]
+        lines = [_entry('time_format = "utc"', "dates; add time_zone if they are local times")]
+        if any(has_no_order(cell) for cell in filled):
+            guess = "day before month, or false; by the dates"
+            if day_first is None:
+                guess = "check this: day before month, or false; the dates do not show it"
+            lines.append(_entry(f"day_first = {str(day_first is not False).lower()}", guess))
+        return lines
     numbers = np.array([plain_number(cell) for cell in filled])
     known = numbers[np.isfinite(numbers)]
     if not is_named or len(known) < READ_SHARE * len(filled):
@@ -371,6 +475,14 @@ def _describe_times(cells: list[str], is_named: bool) -> list[str] | None:
         if FIRST_UNIX_S < typical * scale < LAST_UNIX_S:
             scaled = [] if scale == 1 else [_entry(f"time_scale_s = {scale:g}", unit)]
             return [_entry('time_format = "unix"', f"{unit} since 1970"), *scaled]
+    steps = np.abs(np.diff(known))
+    if FIRST_DAY < typical < LAST_DAY and np.any(steps) and np.median(steps[steps > 0]) < MOST_DAYS:
+        return [
+            _entry('time_format = "elapsed"', "days since 1899-12-30, as in spreadsheets"),
+            _entry('epoch_utc = "1899-12-30T00:00:00Z"', "check this: or local time"),
+            _entry("time_scale_s = 86400", "days"),
+            _entry("counts_leap_seconds = false", ""),
+        ]
     return [
         _entry('time_format = "elapsed"', "the numbers are too small for dates"),
         _entry('epoch_utc = "2000-01-01T00:00:00Z"', "REPLACE by the UTC of time zero"),

@@ -89,10 +89,11 @@ class TelemetryForm(Part):
 
     An input is sampled its entry of `offset_s` later than the time of its row, averaged over `averaged_s` about that instant.
     `receive_time_column`: the time at which a row was received, read in addition to its own time. `time_zone`: zone of times
-    without one. `week_column`: GPS weeks; the time column then has seconds of the week, and the week number has overflowed
-    `gps_rollovers` times. `counts_leap_seconds`: whether elapsed times include leap seconds. `throttled`: if the battery is
-    full, all readings of a sample are reduced by one unknown factor. `sample_span_s`: rows within so many seconds, each with some
-    of the columns, are one sample.
+    without one. `date_column`: dates, if the time column has times of day. `day_first`: order of day and month in dates such as
+    31/01/2026; default: as the dates of the file show it. `week_column`: GPS weeks; the time column then has seconds of the week,
+    and the week number has overflowed `gps_rollovers` times. `counts_leap_seconds`: whether elapsed times include leap seconds.
+    `throttled`: if the battery is full, all readings of a sample are reduced by one unknown factor. `sample_span_s`: rows within so
+    many seconds, each with some of the columns, are one sample.
 
     `quantity` "elevation_deg", "incidence_deg" or "cosine": a column has the elevation of the Sun above the plane of the panel,
     its angle from the normal, or the cosine of that angle. The reader makes of it the reading of a flat panel, gain times
@@ -112,6 +113,8 @@ class TelemetryForm(Part):
     bad_rows: Literal["refuse", "flag", "sort"] = "refuse"
     time_scale_s: Positive = 1.0
     time_zone: Name | None = None
+    date_column: Name | None = None
+    day_first: StrictBool | None = None
     week_column: Name | None = None
     gps_rollovers: Rollovers | None = None
     counts_leap_seconds: StrictBool | None = None
@@ -134,7 +137,12 @@ class TelemetryForm(Part):
     sample_span_s: Positive | None = None
 
     def __post_init__(self) -> None:
-        time_columns = (self.time_column, self.week_column, self.receive_time_column)
+        time_columns = (
+            self.time_column,
+            self.date_column,
+            self.week_column,
+            self.receive_time_column,
+        )
         columns = [
             *(name for name in time_columns if name is not None),
             *self.columns.values(),
@@ -164,6 +172,10 @@ class TelemetryForm(Part):
             if getattr(self, key) is not None and self.time_format != needed:
                 what = f'telemetry.{key} needs time_format = "{needed}"'
                 raise VehicleError(what, got=self.time_format, do="set it, or leave the key out")
+        if self.date_column is not None and self.time_format not in ("utc", "gps", "tai"):
+            what = "telemetry.date_column needs times of day in the time column"
+            do = 'set time_format = "utc", or leave the key out'
+            raise VehicleError(what, got=self.time_format, do=do)
         if self.counts_leap_seconds is not None and self.epoch_utc is None:
             what = "telemetry.counts_leap_seconds needs epoch_utc"
             raise VehicleError(what, do="add the UTC of time zero, or leave the key out")

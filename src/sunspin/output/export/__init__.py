@@ -20,7 +20,7 @@ import xarray as xr
 from scipy.interpolate import CubicHermiteSpline
 from scipy.spatial.transform import Rotation, Slerp
 
-from sunspin.base.errors import InputError, OutputError
+from sunspin.base.errors import InputError, OutputError, printable
 from sunspin.base.netcdf import read_groups
 from sunspin.dynamics.curve import CURVE_RAD, MOST_INSTANTS, rotations
 from sunspin.dynamics.propagate import MAX_RATE
@@ -89,6 +89,7 @@ class AttitudeHistory(NamedTuple):
     frame : name of the frame N
     orientation : orientation of N in words, if N is a local frame
     source : program, and whether the telemetry was synthetic
+    undecided : number of each pass that is not decided -> a sentence with the reason
     """
 
     t_s: np.ndarray
@@ -102,6 +103,7 @@ class AttitudeHistory(NamedTuple):
     frame: str
     orientation: str
     source: str
+    undecided: dict[int, str]
 
     @property
     def utc(self) -> np.ndarray:
@@ -193,7 +195,23 @@ def build_attitude(
         frame=frame_name,
         orientation=orientation,
         source=f"sunspin{synthetic}",
+        undecided=_undecided(data),
     )
+
+
+def _undecided(data: xr.Dataset) -> dict[int, str]:
+    """Return the passes that are not decided, by their number in `pass_of`, each with a sentence; none for a simulation."""
+    names = ("pass_id", "decided", "why_not_decided")
+    if any(name not in data or data[name].dims != ("pass_id",) for name in names):
+        return {}
+    passes = zip(*(data[name].values for name in names), strict=True)
+    return {
+        place: printable(
+            f"pass {number} is not decided ({why}): another motion may be the right one"
+        )
+        for place, (number, decided, why) in enumerate(passes)
+        if not decided
+    }
 
 
 def motion_at(data: xr.Dataset, times: Any) -> xr.Dataset:
@@ -216,16 +234,7 @@ def motion_at(data: xr.Dataset, times: Any) -> xr.Dataset:
     InputError
         A time cannot be read, or the instants of the result are too far apart to interpolate between them.
     """
-    texts = np.atleast_1d(np.asarray(times))
-    if texts.dtype.kind in "iuf":
-        t = texts.astype(np.float64)
-    elif texts.dtype.kind == "M":
-        epoch = _parse_epoch(str(data.attrs.get("epoch_utc")))
-        t = (texts.astype("datetime64[us]") - epoch) / np.timedelta64(1, "s")
-    else:
-        epoch = _parse_epoch(str(data.attrs.get("epoch_utc")))
-        moments = np.array([_parse_epoch(str(text)) for text in texts])
-        t = (moments - epoch) / np.timedelta64(1, "s")
+    t = _parse_times(times, data.attrs.get("epoch_utc"))
     motion = _add_curve(data, _read_samples(data))
     quaternion, omega = np.full((t.size, 4), np.nan), np.full((t.size, 3), np.nan)
     pass_of = np.full(t.size, -1)
@@ -251,6 +260,25 @@ def motion_at(data: xr.Dataset, times: Any) -> xr.Dataset:
     )
 
 
+def _parse_times(times: Any, epoch_utc: str | None) -> np.ndarray:
+    """Return times (n) in s from the epoch of a result, from seconds or UTC; raise `InputError` if one cannot be read."""
+    values = np.atleast_1d(np.asarray(times))
+    if values.ndim > 1:
+        what, got = "the times have several dimensions", f"shape {values.shape}"
+        raise InputError(what, got=got, do="give a list of times")
+    if values.dtype.kind in "iuf":
+        return values.astype(np.float64)
+    if not epoch_utc:
+        what = "the result has no UTC of its time zero"
+        raise InputError(what, got=str(values[:1]), do="give times in seconds")
+    if values.dtype.kind != "M":
+        do = "give seconds from the epoch of the result, or UTC such as 2026-01-31T12:00:00Z"
+        values = np.array(
+            [_parse_utc(str(text), "this time cannot be read", do) for text in values]
+        )
+    return (values.astype("datetime64[us]") - _parse_epoch(epoch_utc)) / np.timedelta64(1, "s")
+
+
 def _choose_frame(data: xr.Dataset, frame: str | None) -> tuple[str, str]:
     """Return the name of the frame N in the file, and its orientation in words, which is empty for a celestial frame.
 
@@ -271,13 +299,18 @@ def _choose_frame(data: xr.Dataset, frame: str | None) -> tuple[str, str]:
 
 
 def _parse_epoch(epoch: str) -> np.datetime64:
-    """Return the UTC of time zero from an ISO-8601 text, with any time zone or none (UTC); raise `InputError` for other text."""
+    """Return the UTC of time zero from an ISO-8601 text; raise `InputError` for other text."""
+    what, do = "the results have no UTC of their time zero", "give --epoch 2026-01-01T00:00:00Z"
+    return _parse_utc(epoch, what, do)
+
+
+def _parse_utc(text: str, what: str, do: str) -> np.datetime64:
+    """Return UTC from an ISO-8601 text, with any time zone or none (UTC); raise `InputError` (`what`, `do`) for other text."""
     try:
-        moment = datetime.fromisoformat(epoch)
+        moment = datetime.fromisoformat(text)
         moment = moment.astimezone(UTC).replace(tzinfo=None) if moment.tzinfo else moment
     except (ValueError, OverflowError):
-        what, do = "the results have no UTC of their time zero", "give --epoch 2026-01-01T00:00:00Z"
-        raise InputError(what, got=epoch, do=do) from None
+        raise InputError(what, got=text, do=do) from None
     return np.datetime64(moment, "us")
 
 
@@ -523,7 +556,9 @@ def write_parquet(target: Path, attitude: AttitudeHistory) -> Path:
     except ImportError:
         what, do = "Parquet needs pyarrow", 'pip install "sunspin[parquet]"'
         raise OutputError(what, do=do) from None
+    decided = ~np.isin(attitude.pass_of, list(attitude.undecided))
     columns = {"time_utc": attitude.utc, "time_s": attitude.t_s, "pass": attitude.pass_of}
+    columns |= {"decided": decided}
     columns |= {f"q_{k}_B_from_N": q for k, q in zip("xyzw", attitude.quaternion.T, strict=True)}
     columns |= {f"omega_{k}_B_rad_s": w for k, w in zip("xyz", attitude.omega_B.T, strict=True)}
     metadata = {"frame": attitude.frame, "object": attitude.name, "source": attitude.source}

@@ -21,6 +21,9 @@ from sunspin.output.folder import write_whole
 IN_VERSION_1_ALONE = ("ATTITUDE_DIR", "QUATERNION_TYPE")
 """Keys that version 2.0, and so the XML, lacks: it has one direction only, A to B, and one order of the components."""
 
+LONGEST_COMMENT = 240
+"""Characters of a comment: a line of the standard has at most 254."""
+
 
 def write_aem(target: Path, attitude: AttitudeHistory, form: str = "1.0") -> Path:
     """Write an attitude ephemeris message with a segment for each pass, and return its path.
@@ -28,11 +31,7 @@ def write_aem(target: Path, attitude: AttitudeHistory, form: str = "1.0") -> Pat
     `form`: "1.0" or "2.0", the version of a KVN file, or "xml".
     """
     utc = np.datetime_as_string(attitude.utc)
-    # the standard allows printable ASCII only
-    name, number = (
-        "".join(c if c.isascii() and c.isprintable() else "_" for c in text).strip()
-        for text in (attitude.name, attitude.number)
-    )
+    name, number = map(_ascii, (attitude.name, attitude.number))
     object_metadata = {
         "OBJECT_NAME": name or "UNKNOWN",
         "OBJECT_ID": number or name or "UNKNOWN",
@@ -47,19 +46,21 @@ def write_aem(target: Path, attitude: AttitudeHistory, form: str = "1.0") -> Pat
     # the CCSDS quaternion rotates axes, B_from_N rotates vectors: one is the conjugate of the other (docs/conventions.md, 19)
     conjugate = attitude.quaternion * np.array([-1.0, -1.0, -1.0, 1.0])
     components = [[f"{x:.15f}" for x in q] for q in conjugate]
-    segments = []  # metadata, and (UTC, components) of each attitude
+    segments = []  # comments, metadata, and (UTC, components) of each attitude
     for samples in attitude.passes():
         metadata = object_metadata | {"START_TIME": utc[samples[0]], "STOP_TIME": utc[samples[-1]]}
         metadata |= {"ATTITUDE_TYPE": "QUATERNION", "QUATERNION_TYPE": "LAST"}
-        segments.append((metadata, [(utc[i], components[i]) for i in samples]))
+        why = attitude.undecided.get(int(attitude.pass_of[samples[0]]))
+        notes = [*comments, *([_ascii(why)[:LONGEST_COMMENT]] if why else [])]
+        segments.append((notes, metadata, [(utc[i], components[i]) for i in samples]))
     now = f"{datetime.now(UTC):%Y-%m-%dT%H:%M:%S}"
     header = {"CREATION_DATE": now, "ORIGINATOR": "SUNSPIN"}
     if form == "xml":
-        text = _xml(header, comments, segments)
+        text = _xml(header, segments)
         return write_whole(target, text)
     lines = [f"CCSDS_AEM_VERS = {form}", *(f"{key} = {value}" for key, value in header.items()), ""]
-    for metadata, states in segments:
-        lines += ["META_START", *(f"COMMENT {text}" for text in comments)]
+    for notes, metadata, states in segments:
+        lines += ["META_START", *(f"COMMENT {text}" for text in notes)]
         lines += [
             f"{key} = {value}"
             for key, value in metadata.items()
@@ -80,16 +81,21 @@ def _add_element(
     return element
 
 
-def _xml(header: dict[str, str], comments: list[str], segments: list) -> str:
-    """Return the message as XML; `segments`: metadata and (UTC, quaternion components) of each pass."""
+def _ascii(text: str) -> str:
+    """Return a text with an underscore for each character that is no printable ASCII: the standard allows no other."""
+    return "".join(c if c.isascii() and c.isprintable() else "_" for c in text).strip()
+
+
+def _xml(header: dict[str, str], segments: list) -> str:
+    """Return the message as XML; `segments`: comments, metadata and (UTC, quaternion components) of each pass."""
     root = ElementTree.Element("aem", {"id": "CCSDS_AEM_VERS", "version": "2.0"})
     head, body = _add_element(root, "header"), _add_element(root, "body")
     for key, value in header.items():
         _add_element(head, key, value)
-    for metadata, states in segments:
+    for notes, metadata, states in segments:
         segment = _add_element(body, "segment")
         metadata_element, data = _add_element(segment, "metadata"), _add_element(segment, "data")
-        for text in comments:
+        for text in notes:
             _add_element(metadata_element, "COMMENT", text)
         for key, value in metadata.items():
             if key not in IN_VERSION_1_ALONE:

@@ -69,19 +69,27 @@ def write_ck(folder: Path, attitude: AttitudeHistory) -> list[Path]:
     if not str(folder).isprintable():
         what, do = "SPICE takes no such folder name", "give one of plain letters"
         raise OutputError(what, got=str(folder), do=do)
-    # tick 0: a second before the epoch or an earlier first sample, whose time SPICE may round down
-    first_s = min(0.0, float(attitude.t_s[0])) - 1.0
-    ticks = np.round((attitude.t_s - first_s) * TICKS_PER_S)
+    # Tick 0: a second before the epoch or an earlier first sample, whose time SPICE may round down. Ticks count TDB: in weeks it
+    # gains or loses milliseconds on seconds of UTC, and a second at a leap second.
+    et = ephemeris_time(attitude.utc)
+    start = min(float(ephemeris_time(attitude.epoch)), float(et[0])) - 1.0
+    ticks = np.round((et - start) * TICKS_PER_S)
     if np.any(np.diff(ticks) <= 0):
         raise InputError("a C-kernel needs times that increase by a microsecond or more")
-    start = float(ephemeris_time(attitude.epoch)) + first_s
     clock, frames = (
         write_whole(folder / name, text.encode("ascii"))
         for name, text in _text_kernels(start, attitude.frame).items()
     )
     # SPICE: scalar first, and the matrix of its quaternion takes components in N to B, as B_from_N does
-    quaternion = np.roll(attitude.quaternion, 1, axis=1)
-    rate_N = Rotation.from_quat(attitude.quaternion).inv().apply(attitude.omega_B)
+    # A pass begins a tick early and ends a tick late, along its motion: SPICE rounds times, and would not cover its ends.
+    beyond = np.zeros(len(ticks))
+    for samples in attitude.passes():
+        if len(samples) > 1:
+            beyond[samples[[0, -1]]] = -1.0, 1.0
+    turned = Rotation.from_rotvec(-attitude.omega_B * beyond[:, None] / TICKS_PER_S)
+    B_from_N, ticks = turned * Rotation.from_quat(attitude.quaternion), ticks + beyond
+    quaternion = np.roll(B_from_N.as_quat(), 1, axis=1)
+    rate_N = B_from_N.inv().apply(attitude.omega_B)
     starts = np.array([ticks[samples[0]] for samples in attitude.passes()])
     # arguments of SPICE's ckw03; True: the segment has rates
     descriptor = ticks[0], ticks[-1], BODY_ID, attitude.frame, True, "sunspin"

@@ -10,6 +10,7 @@ import numpy as np
 from sunspin.output.figures import BLACK, COLOURS, GREY, axes_grid, escape_name, styled
 from sunspin.output.history import DAY_S
 from sunspin.output.kind import KINDS, Context, Drawing, Kind, Summary, Table
+from sunspin.output.text import with_sigma
 
 MOST_LINES = 30
 """Number of passes that are printed; the table has all."""
@@ -33,8 +34,9 @@ def history_summary(data: Any) -> Summary:
         "jumps": attrs["jumps"].splitlines(),
         "vehicles_differ": attrs["vehicles_differ"],
     }
+    passes = "1 pass" if decided.size == 1 else f"{decided.size} passes"
     lines = [
-        f"{attrs['vehicle']}: {decided.size} passes from {numbers['from'][:16]} to {numbers['to'][:16]}, "
+        f"{attrs['vehicle']}: {passes} from {numbers['from'][:16]} to {numbers['to'][:16]}, "
         f"{decided.sum()} decided"
     ]
     if numbers["trend_deg_s_day"] is None:
@@ -51,7 +53,7 @@ def history_summary(data: Any) -> Summary:
             data["spin_axis_B"].values[k],
             np.degrees(data["spin_axis_sigma_rad"].values[k]),
         )
-        size = f"{speed[k]:.3f} ± {sigma[k]:.3f} deg/s"
+        size = with_sigma(speed[k], sigma[k], "deg/s")
         about = "({:+.2f}, {:+.2f}, {:+.2f})".format(*axis) + f" ± {turn:.1f} deg"
         verdict = "" if decided[k] else f"  not decided: {data['why_not_decided'].values[k]}"
         lines.append(f"  {data['utc_at'].values[k][:16]}  {size}  about {about}{verdict}")
@@ -140,13 +142,14 @@ def _draw_points(
     colour: str,
     label: str,
 ) -> None:
-    """Draw a point for each pass with its error: filled if the pass is decided, else open and grey."""
-    for mask, style in (
-        (decided, {"color": colour, "label": label}),
-        (~decided, {"color": GREY, "mfc": "none"}),
-    ):
+    """Draw a point for each pass with its error: filled if the pass is decided, else open and pale."""
+    for mask, style in ((decided, {}), (~decided, {"mfc": "none", "alpha": 0.6})):
         if mask.any():
-            axes.errorbar(days[mask], values[mask], error[mask], fmt="o", ms=3.5, lw=0.8, **style)
+            # one entry in the legend, also without a decided pass
+            name = label if mask is decided or not decided.any() else None
+            size = {"fmt": "o", "ms": 3.5, "lw": 0.8}
+            point = days[mask], values[mask], error[mask]
+            axes.errorbar(*point, color=colour, label=name, **size, **style)
 
 
 def _draw_trend(axes: Any, data: Any, days: np.ndarray) -> None:

@@ -27,7 +27,7 @@ def plan_summary(data: Any) -> Summary:
     }
     passes = int(data["passes"].values.sum())
     lines = [
-        f"{attrs['vehicle']}: {passes} simulated passes of {attrs['samples']} samples, "
+        f"{attrs['vehicle']}: {passes} simulated pass{'' if passes == 1 else 'es'} of {attrs['samples']} samples, "
         f"speeds up to {numbers['max_rate_deg_s']:g} deg/s"
     ]
     table = [
