@@ -78,7 +78,10 @@ def estimated_zero(result):
 def test_the_rates_are_right_and_the_gyro_is_named(simulated):
     result = estimate(simulated, max_rate_rad_s=0.15)
     row = compare_with_truth(result, simulated)
-    assert not row["decided"] and row["why"] == "POOR FIT (gyro)"
+    assert (
+        not row["decided"]
+        and row["why"] == "POOR FIT (gyro); the gyro contradicts the other readings"
+    )
     assert row["pull"] < 3 and row["miss_deg_s"] < np.degrees(ZERO_OFF) / 10
     assert result["model"].values.tolist() == ["another zero offset of the gyro"]
     value, sigma = estimated_zero(result)
