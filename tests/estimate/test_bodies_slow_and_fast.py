@@ -81,7 +81,8 @@ RANGES = (1.0, 3.0, 8.0, 20.0)
     ("i", "limits_deg_s"),
     [
         (14, (1.0, 8.0)),
-        *(pytest.param(i, RANGES, marks=pytest.mark.long) for i in (3, 14, 20, 31)),
+        *(pytest.param(i, RANGES, marks=pytest.mark.long) for i in (14, 31)),
+        *(pytest.param(i, RANGES, marks=pytest.mark.slow) for i in (3, 20)),
         pytest.param(8, RANGES, marks=[pytest.mark.long, LOSES_ONE]),
     ],
 )

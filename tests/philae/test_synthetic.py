@@ -25,20 +25,15 @@ FLIGHTS = ["descent", "first_rebound", "second_rebound"]
 KNOWN = {"omega_B": [0, 0, 0.1], "sun_B": [0.6, 0, 0.8], "t_s": [0.0, 1.0]}
 
 
-@pytest.fixture(scope="module")
-def made():
-    """The landing of the built-in telemetry: it takes most of a minute, and the tests beside each other share it."""
-    return make_landing(case, truth["seed"], truth["draw"])
-
-
 @pytest.fixture
-def synthesise(made, monkeypatch):
-    """Run the command, for which every draw is that landing: (exit code, the draw that it asked for)."""
+def synthesise(monkeypatch):
+    """Run the command, for which every draw is the built-in landing: (exit code, the draw that it asked for)."""
+    landing = committed.assign_attrs({f"truth_{key}": value for key, value in truth.items()})
 
     def run(draw, out):
         asked = []
         monkeypatch.setattr(
-            selection, "make_landing", lambda _, *drawn: asked.append(drawn) or made
+            selection, "make_landing", lambda _, *drawn: asked.append(drawn) or landing
         )
         return main(["--seed", str(truth["seed"]), "--draw", str(draw), str(out)]), asked
 
@@ -51,7 +46,10 @@ def sun():
 
 
 @pytest.mark.evidence("twin", "verified", "the telemetry file of the package")
-def test_the_built_in_telemetry_follows_from_its_seed_and_draw(made):
+@pytest.mark.slow
+def test_the_built_in_telemetry_follows_from_its_seed_and_draw():
+    """To make the landing takes most of a minute."""
+    made = make_landing(case, truth["seed"], truth["draw"])
     # the file holds 6 decimals and whole milliseconds
     np.testing.assert_allclose(
         committed["power_W"].values, made["power_W"].values, rtol=0, atol=0.51e-6
