@@ -8,7 +8,11 @@ import pytest
 import xarray as xr
 
 from sunspin.estimate.budget import Budget
-from sunspin.estimate.column_tests import SampleCosts, gains_of_silent_inputs
+from sunspin.estimate.column_tests import (
+    SampleCosts,
+    gain_in_evidence,
+    gains_of_silent_inputs,
+)
 from sunspin.estimate.columns import SAMPLES_CONTRADICT, check_columns, clock_time, estimators_of
 from sunspin.estimate.equivalence import AS_WRITTEN, exchange
 from sunspin.estimate.rates import rates
@@ -72,6 +76,23 @@ def test_a_right_file_with_dark_columns_is_not_accused(spinner):
     assert is_not_accused(result)
     off = printed_rates(result)[0][0] - spinner.omega[len(spinner.omega) // 2]
     assert np.degrees(np.linalg.norm(off)) < 0.5
+
+
+@pytest.mark.parametrize(
+    ("gain", "wider", "expected"),
+    [(6.0, -2.0, 4.0), (2.6, 4.5, 2.6), (-2.6, -4.5, -2.6), (25.0, -42.0, 0.0)],
+)
+def test_the_sigmas_of_readings_make_no_columns_better(gain, wider, expected):
+    changed, written = (
+        xr.Dataset(attrs={"log_evidence": [evidence], "log_sigmas": [sigmas]})
+        for evidence, sigmas in ((400.0 + gain, -500.0 + wider), (400.0, -500.0))
+    )
+    assert gain_in_evidence(changed, written) == pytest.approx(expected)
+
+
+def test_a_right_file_of_a_slow_body_is_decided_though_other_columns_have_more_evidence():
+    """With two columns exchanged the log evidence is 25 higher, as less light of the Earth is seen; without the sigmas 17 lower."""
+    assert is_not_accused(estimate(make("slow, wide range", 31, 15)))
 
 
 def test_tests_of_dark_columns_that_the_budget_stopped_are_said(spinner):

@@ -369,7 +369,7 @@ def rival_exchanges(
     costs: SampleCosts,
     noise: np.ndarray | float,
     estimators: Estimators,
-    as_written: float | None,
+    as_written: xr.Dataset | None,
 ) -> list[BetterChanges]:
     """Return changes of columns that the samples allow and that fit a pass about as well as the file, the most probable first.
 
@@ -377,8 +377,8 @@ def rival_exchanges(
     their evidence says which is right. A satellite with three lit panels was decided along a motion 74 sigma off that two exchanged
     columns made up; with the right ones the log evidence was better by 24. Changes that a quick search excludes (:data:`EXCLUDED`)
     are not estimated. `observed.sun_B`: Sun directions of the estimated motion. `costs`: of the samples of the pass. `noise`: one
-    sigma of the panel readings, of each input (n_input) or of all. `as_written`: log evidence of the file as it is written by the
-    whole estimate, None if it is to be estimated.
+    sigma of the panel readings, of each input (n_input) or of all. `as_written`: the whole estimate of the pass with the file as it
+    is written, None if it is to be made.
     """
     dark, lit = _changes_to_compare(observed, telemetry, costs, noise)
     if not (dark or lit):
@@ -398,20 +398,34 @@ def rival_exchanges(
     if not near:
         return []
     if as_written is None:
-        result = estimators.estimate_if_fits(vehicle, telemetry)
-        if result is None:
+        as_written = estimators.estimate_if_fits(vehicle, telemetry)
+        if as_written is None:
             return []
-        as_written = float(result.attrs["log_evidence"][0])
     rivals = []
     for k in near[:MOST_RUNS]:
         change, others = candidates[k]
         result = estimators.estimate_if_fits(*change.applied(vehicle, telemetry))
         if result is not None:
-            gain = float(result.attrs["log_evidence"][0]) - as_written
+            gain = gain_in_evidence(result, as_written)
             same = tuple(with_equivalents(observed, change, result, others))
             at_s, cost = rate_at_mid_time(result)[1], float(result["cost"].values[0, 0])
             rivals.append(BetterChanges(same, gain, at_s, cost=cost))
     return sorted(rivals, key=lambda rival: -rival.gain)
+
+
+def gain_in_evidence(result: xr.Dataset, as_written: xr.Dataset) -> float:
+    """Return by how much the log evidence of a pass is higher under a change of columns than with the file as it is written.
+
+    Both are results of `rates` on that pass. The sigmas of the panels' readings follow from the data and so differ between the two:
+    light on panels that should be dark counts as light of the Earth, and widens them. Narrower sigmas alone must not make a change
+    better, nor wider ones. So the evidence is compared with the logs of the sigmas and without, and the smaller difference counts.
+    If one is positive and the other negative, the gain is zero.
+    """
+    gain = float(result.attrs["log_evidence"][0] - as_written.attrs["log_evidence"][0])
+    wider = float(result.attrs["log_sigmas"][0] - as_written.attrs["log_sigmas"][0])
+    if gain * (gain + wider) <= 0:
+        return 0.0
+    return min((gain, gain + wider), key=abs)
 
 
 def _changes_to_compare(

@@ -319,7 +319,7 @@ def _with_rivals(
     # A rival is estimated on this pass alone. The result was estimated with all passes of the file: its evidence can be compared
     # only if this pass is the whole file. Else (None) the file as written is estimated on this pass alone too.
     is_whole_file = of_pass.sizes["time"] == telemetry.sizes["time"]
-    as_written = float(result.attrs["log_evidence"][k]) if is_whole_file else None
+    as_written = result if is_whole_file else None
     noise = noise_of(result, observed.vehicle)
     rivals = rival_exchanges(observed_in_pass, of_pass, costs, noise, estimators, as_written)
     if least_gain:

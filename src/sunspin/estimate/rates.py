@@ -232,7 +232,7 @@ def rates(
             "effort": float(sum(pass_fits.used for pass_fits in fits)) / (USUAL * len(fits)),
             "samples_searched": kept,
             "times_rounded_to_s": float(readings.obs.time_sigma_s * np.sqrt(12)),
-            "log_evidence": log_evidence_of_passes(assessment, fitted, passes),
+            **log_evidence_of_passes(assessment, fitted, passes),
             "symmetric_unlisted": 0,
         }
     )
@@ -427,20 +427,22 @@ def common_noise(fits: Sequence[PassFits]) -> float:
 
 def log_evidence_of_passes(
     assessment: Assessment, fitted: FittedPasses, passes: Sequence[Pass]
-) -> list[float]:
-    """Return the log evidence of each pass: summed over motions and models, averaged over the strengths of torques.
+) -> dict[str, list[float]]:
+    """Return attributes with a number for each pass: `log_evidence`, and `log_sigmas`, the logs of the sigmas of panels in it.
 
-    A constant that depends only on the number of readings is left out. So files whose columns are exchanged can be compared.
+    The evidence is summed over motions and models, and averaged over the strengths of torques. A constant that depends only on the
+    number of readings is left out. So files whose columns are exchanged can be compared.
     """
-    log = []
+    log_evidence, log_sigmas = [], []
     for pass_fits, a_pass in zip(fitted.fits, passes, strict=True):
         # The costs of fits leave out the sigmas of the panels' readings, and all readings of panels without any signal. Both depend
         # on the order of the columns.
         panels = [term for term in pass_fits.nominal.obs.terms if isinstance(term, Panels)]
         silent = cost_of_silent_panels(assessment, a_pass.kept) if panels else 0.0
         evidence = logsumexp(pass_fits.log_evidence_of_rungs()) - np.log(len(pass_fits.rungs))
-        log.append(float(evidence - sum(map(sum_of_log_sigmas, panels)) - silent))
-    return log
+        log_sigmas.append(float(sum(map(sum_of_log_sigmas, panels))))
+        log_evidence.append(float(evidence - log_sigmas[-1] - silent))
+    return {"log_evidence": log_evidence, "log_sigmas": log_sigmas}
 
 
 def left_open_by_search(
