@@ -10,6 +10,7 @@ from scipy.spatial.transform import Rotation
 import sunspin as ss
 from sunspin.base.errors import InputError
 from sunspin.environment import circular
+from sunspin.environment.ephemeris import OrbitFile
 from sunspin.environment.frames import FIELD_Z_LOCAL
 from sunspin.environment.orbit import SunAlongZ
 from sunspin.estimate.field_led import leading_field
@@ -22,6 +23,7 @@ from sunspin.estimate.settings import FIELD_TURN, RATES
 from sunspin.estimate.terms.field import FieldChange, KnownField
 from sunspin.estimate.terms.panels import Panels
 from sunspin.estimate.verdict import COLUMNS_UNCHECKED
+from sunspin.output.check.orbit import choose_orbit
 from sunspin.output.export import build_attitude
 from sunspin.telemetry.assess import assess
 from sunspin.telemetry.synthetic import telemetry_dataset
@@ -140,6 +142,22 @@ def test_a_field_that_an_orbit_knows_leads_the_search_without_a_sun(case):
     found = pass_against_truth(result, truth, 0)
     assert result.attrs["source"] == "field" and found["listed"]
     assert max(np.abs(found["pulls"])) < 5
+
+
+@pytest.mark.long
+@pytest.mark.evidence("rates", "modelled", "a simulated spinner through an eclipse")
+def test_a_slow_rotation_is_found_through_a_long_eclipse(tmp_path):
+    """The field turns in space while the Sun is not seen: it was taken for the body, which was decided five sigma off."""
+    truth = spinners.make(spinners.cases(31, 15)[14], tmp_path)
+    craft = ss.load_vehicle(tmp_path / "vehicle.toml")
+    assessment = assess(craft, ss.read_telemetry(tmp_path / "telemetry.csv", craft))
+    chosen = choose_orbit(assessment, OrbitFile(tmp_path / "right.tle"), None)
+    around = {"environment": chosen.orbit, "calibration": chosen.calibration}
+    result = rates(craft, assessment, pass_id=0, **around)
+    omega, sigma = printed_rates(result)
+    off = omega - np.radians(truth["rates_deg_s"][result.sizes["time"] // 2])
+    assert (np.abs(off) < 4 * sigma).all(axis=1).any()
+    assert np.nanmin(sigma, axis=0).max() < np.radians(0.02)
 
 
 MAGNETOMETER = Magnetometer(("x", "y", "z"), np.zeros(3), 400.0, zero_sigma=np.full(3, 300.0))

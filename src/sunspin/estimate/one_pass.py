@@ -25,7 +25,14 @@ from sunspin.estimate.evidence import (
     merge_fits,
     rescale_unknowns,
 )
-from sunspin.estimate.field_led import leading_field, models_to_search, prepare_fit, to_nominal_axes
+from sunspin.estimate.field_led import (
+    leading_field,
+    models_to_search,
+    prepare_fit,
+    sunlit_window,
+    to_nominal_axes,
+    with_known_field,
+)
 from sunspin.estimate.images import images_of, with_images
 from sunspin.estimate.model import Model, Noise, Track
 from sunspin.estimate.quick import quick_evidence
@@ -251,9 +258,12 @@ def search_motions(
     # If the known field leads the search, N follows the field, which turns in space. Even the true motion may then miss the limit
     # at which a motion fits, so a misfit is no reason to start from further pairs.
     search_settings = s if leading_field(nominal) is None else replace(s, more_places=0)
+    # If the Sun is not seen for long, the search begins where it is, and continues with the field as it is known in N.
+    sunlit = sunlit_window(nominal, s)
     tracks, refused = [], None
     for model in models_to_search(nominal, Noise(noise)):
-        starts, body = pair_starts(model, s, slowest), model.body
+        in_window = model if sunlit is None else model.seeing(sunlit)
+        starts, body = pair_starts(in_window, s, slowest), in_window.body
         if not inertia_held:
             # the errors of the inertia become unknowns again, zero in each start
             body = nominal.body
@@ -261,10 +271,16 @@ def search_motions(
                 (window, replace(motions, u=np.zeros((len(motions), len(body.errors)))))
                 for window, motions in starts
             )
-        chain = Chain(replace(model, body=body), s)
+        chain = Chain(replace(in_window, body=body), s)
         try:
-            places = 1 if slowest else pairs_to_try(model, s)
+            places = 1 if slowest else pairs_to_try(in_window, s)
             motions = search(chain, starts, search_settings, budget, places)
+            if sunlit is not None:
+                # the angle about the Sun is known in the window, by the field, and so is the field in all other samples
+                begin = prepare_fit(nominal.seeing(sunlit), motions)
+                from_window = [(sunlit, Track.free(begin.attitude, begin.omega))]
+                whole = Chain(with_known_field(nominal, model), s)
+                motions = search(whole, from_window, replace(s, more_places=0), budget, places=1)
         except InputError as error:
             refused = error
             continue
