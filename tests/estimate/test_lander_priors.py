@@ -143,6 +143,7 @@ OBSERVED = {"kind": "rate", "t_s": 1.0, "value": 1.0, "sigma": 1.0}
         ({"priors": {"wheel_off_s": 40.0}}, r"\(found wheel_off_s\); leave it out"),
         ({"priors": {"gain": True}}, "gain"),
         ({"begin_s": 100.0, "end_s": 120.0}, "three samples with a lit panel"),
+        ({"priors": {"max_rate_rad_s": 0}}, r"max_rate_rad_s must be positive \(found 0\)"),
         ({"priors": {"inertia": -1}}, r"zero \(known\) or positive"),
         *(({"priors": {"time_s": x}}, "sigma of time_s") for x in (-1.0, np.nan, "two", True)),
         ({"phase": "descent"}, "no such phase"),
