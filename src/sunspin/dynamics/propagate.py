@@ -85,7 +85,8 @@ def propagate(
         stuck), or ``[(t_s, mode), ...]``: each mode from its time on.
     stopped_at_s : number, optional
         Time at which a wheel that friction holds had come to rest (one value per wheel if there are several). A run backward in
-        time needs it, because the motion does not determine it.
+        time needs it, because the motion does not determine it. Nor does it determine in which direction the wheel turned
+        before: the sign is that of its speed in the vehicle file.
     rtol : float
         Relative error over the run, down to 1e-13.
     environment : Environment, optional
