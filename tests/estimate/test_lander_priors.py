@@ -150,6 +150,7 @@ OBSERVED = {"kind": "rate", "t_s": 1.0, "value": 1.0, "sigma": 1.0}
         ({"begin_s": 1e6}, "three samples"),
         ({"observations": [OBSERVED | {"kind": "smell"}]}, "an observation has kind"),
         ({"observations": [OBSERVED | {"t_s": 1e5}]}, "outside the window"),
+        ({"observations": [OBSERVED | {"kind": "rate", "value": [1, 2]}]}, "is one finite number"),
         *(({"observations": [OBSERVED | {"sigma": x}]}, "positive sigma") for x in (0, -1, np.inf)),
         (
             {"observations": [OBSERVED | {"kind": "field", "value": [0, 3.0, 4.0], "more": 1}]},
