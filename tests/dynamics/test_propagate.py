@@ -113,6 +113,8 @@ def test_momentum_and_energy_are_conserved_to_1e_12(n_wheels, reached):
         ({"wheel_mode": "stop"}, "must be one of coast, hold, brake"),
         ({"wheel_mode": "brake"}, "has no brake"),
         ({"rtol": 0}, "rtol"),
+        ({"stopped_at_s": np.nan}, "one finite time"),
+        ({"stopped_at_s": np.array([-3.0, -4.0])}, "one finite time"),
     ],
 )
 def test_bad_arguments_of_propagate_are_named(change, message):

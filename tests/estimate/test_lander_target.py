@@ -23,6 +23,7 @@ from tests.support.landers import (
     SUN,
     lander_model,
     lander_telemetry,
+    noisy,
     nominal,
 )
 from tests.support.passes import slope_of
@@ -96,6 +97,16 @@ def test_simulated_readings_fit_their_motion_as_well_as_real_ones():
     off = replace(model.panels, power=model.panels.power + 3 * model.panels.sigma)
     worse = target.log_replicated(track, motions.u, rng) <= off.log_density(states, own)
     assert np.mean(worse) < 0.01
+
+
+def test_noise_of_dark_panels_is_no_sunlight_if_the_file_states_no_threshold():
+    """Else half of the dark readings are lit ones without power, and no simulated readings fit as well as the real ones."""
+    form = replace(noisy().telemetry, lit_threshold=None)
+    telemetry = lander_telemetry(100.0 * np.arange(8), NOISE)
+    assessment = assess(replace(PHILAE, telemetry=form), telemetry)
+    panels = with_priors(assessment, observe_window(assessment), {})[0].panels
+    assert np.array_equal(panels.lit, panels.power > 3 * NOISE)
+    assert panels.lit.sum() < (panels.power > 0).sum() - 5
 
 
 def test_readings_far_from_the_prediction_are_outliers():

@@ -154,6 +154,8 @@ def test_lines_are_paired_all_together():
 def test_points_that_allow_no_lines_are_refused(points, message):
     with pytest.raises(ss.InputError, match=message):
         ss.fit_lines(points, 4)
+    with pytest.raises(ss.InputError, match="n_lines must be at least one"):
+        ss.fit_lines(np.eye(3), 0)
 
 
 def test_lines_that_cannot_be_compared_are_refused():

@@ -76,6 +76,13 @@ def test_word_and_sentence_follow_from_the_findings(findings, word, text):
     assert told == word and text in sentence
 
 
+def test_symmetric_solutions_are_named_unless_one_solution_is_unique():
+    """They are fitted too: if one solution has all the probability, the others do not fit."""
+    several, single = (replace(x, alike="3 symmetric ones") for x in (aliases(0.5, 0.5), GOOD))
+    assert posterior_words(several)[1].endswith("; 3 symmetric ones")
+    assert "symmetric" not in posterior_words(single)[1]
+
+
 def test_a_panel_is_accused_for_three_outliers_that_are_much_of_its_readings():
     lit = np.ones((10, 2), dtype=bool)
     outliers = np.zeros((10, 2))

@@ -302,6 +302,7 @@ def test_bad_arguments_of_outcomes_are_named(case, change, text):
         ({"lead_s": -1.0}, "lead_s must be zero or a positive time"),
         ({"sun_B": (1.0, 1.0, 0.0)}, "sun_B must be a unit vector"),
         ({"vertical": "sideways"}, "vertical must be"),
+        ({"vertical": np.radians(500.0)}, r"up to 180 degrees .*found 500 degrees"),
         ({"orbiter": "behind"}, "orbiter must be"),
         ({"collision_axis_B": (0, 0, 0)}, "collision_axis_B must be three numbers"),
     ],

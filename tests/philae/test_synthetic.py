@@ -224,6 +224,8 @@ def test_a_truth_without_valid_rates_and_sun_is_refused(change, text):
         ss.twin(case, KNOWN | change)
     with pytest.raises(ss.InputError, match="no sun_B"):
         ss.twin(case, {"omega_B": [0, 0, 0], "t_s": [0.0]})
+    with pytest.raises(ss.InputError, match="seed must be a whole number"):
+        ss.twin("philae", seed=-1)
     with pytest.raises(ss.InputError, match="needs a truth"):
         ss.twin(vehicle)
 

@@ -27,7 +27,8 @@ from sunspin.cli.values import BODY_RATE, DIRECTION
     "--stopped-at",
     "stopped_at_s",
     type=float,
-    help="Backward runs: when a wheel that is at rest at the start had stopped, s from the start (negative).",
+    help="Backward runs: when a wheel that is at rest at the start had stopped, s from the start (negative). "
+    "Before, it turned in the direction of its speed in the vehicle file.",
 )
 @set_options(short=("friction",), idle=(*LANDING_KEYS, *PANEL_KEYS))
 @shared("--wheel-speed", "--wheel-mode")

@@ -60,7 +60,7 @@ def propagate(
     wheel_speed_rad_s: npt.ArrayLike | None,
     t_s: npt.ArrayLike,
     wheel_mode: Any = "coast",
-    stopped_at_s: float | Sequence[float | None] | None = None,
+    stopped_at_s: float | Sequence[float | None] | np.ndarray | None = None,
     rtol: float = 1e-12,
     *,
     environment: Environment | None = None,
@@ -85,7 +85,8 @@ def propagate(
         stuck), or ``[(t_s, mode), ...]``: each mode from its time on.
     stopped_at_s : number, optional
         Time at which a wheel that friction holds had come to rest (one value per wheel if there are several). A run backward in
-        time needs it, because the motion does not determine it.
+        time needs it, because the motion does not determine it. Nor does it determine in which direction the wheel turned
+        before: the sign is that of its speed in the vehicle file.
     rtol : float
         Relative error over the run, down to 1e-13.
     environment : Environment, optional
@@ -127,10 +128,13 @@ def propagate(
     plan = schedules(vehicle, wheel_mode)
     attitude = forces.attitude(B_from_N, sun)
     stopped_at = stopped_at_s
-    if not isinstance(stopped_at, Sequence):
+    if not isinstance(stopped_at, Sequence | np.ndarray):
         stopped_at = (stopped_at,) * len(vehicle.wheels)
-    if len(stopped_at) != len(vehicle.wheels):
-        raise MotionError("stopped_at_s must give one time (or None) per wheel", got=stopped_at_s)
+    known = np.array([t for t in stopped_at if t is not None], dtype=np.float64)
+    if len(stopped_at) != len(vehicle.wheels) or not np.all(np.isfinite(known)):
+        raise MotionError(
+            "stopped_at_s must give one finite time (or None) per wheel", got=stopped_at_s
+        )
     run = _Run(vehicle, t, forces, tuple(stopped_at), rtol)
     run.begin(omega, sun, speeds, attitude)
     for end in [*switch_times(plan, t[0], t[-1]), t[-1]] if t.size > 1 else []:

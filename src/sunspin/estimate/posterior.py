@@ -460,6 +460,7 @@ def _findings(
         doubts=doubts,
         dark=dark_stretch(t_s[read], sunlit[read]),
         complete=True,
+        alike=alike_motions(nominal.assessment.vehicle),
     )
 
 
@@ -472,8 +473,6 @@ def _verdict_attributes(
 ) -> dict[str, Any]:
     """Return the attributes of the result that belong to the verdict; `outliers` as in :func:`_findings`."""
     word, text = posterior_words(findings)
-    if word != "not explained" and (alike := alike_motions(nominal.assessment.vehicle)):
-        text += f"; {alike}"
     models = [fit.model.what for fit in mix.fits]
     probability = dict(zip(models, mix.probability.tolist(), strict=True))
     likeliest = max(models, key=lambda what: probability[what])

@@ -311,8 +311,9 @@ def possible_verticals(vehicle: Vehicle, wanted: Any) -> tuple[np.ndarray, str]:
         return near, f"within {np.degrees(float(wanted)):g} degrees of {up}"
     if np.shape(wanted) == (3,) and np.linalg.norm(wanted) > 0:
         return np.atleast_2d(np.array(wanted, float) / np.linalg.norm(wanted)), "one direction"
-    what = 'vertical must be "legs_down", "any", an angle up to pi (rad) or three numbers'
-    raise InputError(what, got=wanted)
+    what = 'vertical must be "legs_down", "any", an angle up to 180 degrees or three numbers'
+    is_angle = isinstance(wanted, int | float)
+    raise InputError(what, got=f"{np.degrees(wanted):g} degrees" if is_angle else wanted)
 
 
 def draw_uniform(seed: int, index: np.ndarray) -> dict[str, np.ndarray]:

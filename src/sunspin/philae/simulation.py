@@ -124,6 +124,8 @@ def twin(
     """
     if isinstance(source, str):
         source = load_case(source)
+    if isinstance(seed, bool) or not isinstance(seed, int | np.integer) or seed < 0:
+        raise InputError("seed must be a whole number of at least 0", got=seed)
     if truth is None:
         if isinstance(source, Case) and source.name == "philae":
             return philae_twin(seed, **landing)

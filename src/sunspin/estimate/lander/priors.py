@@ -90,11 +90,9 @@ def with_priors(
     mode = wheel_mode if isinstance(wheel_mode, str) else tuple(wheel_mode)
     panels = _panels_with_unknowns(vehicle, window, sources)
     of_motion = (*_wheel_unknowns(vehicle, mode, sources), *_inertia_unknowns(vehicle, sources))
-    limit = (
-        sources.priors.get("max_rate_rad_s")
-        or vehicle.sensors.disturbance.max_rate_rad_s
-        or LANDER_LARGEST_RATE
-    )
+    limit = sources.priors.get("max_rate_rad_s")
+    if limit is None:
+        limit = vehicle.sensors.disturbance.max_rate_rad_s or LANDER_LARGEST_RATE
     if not (np.isfinite(limit) and limit > 0):
         raise InputError("max_rate_rad_s must be positive", got=limit)
     sources.in_words["rate"] = f"uniform in a ball of {limit:g} rad/s"

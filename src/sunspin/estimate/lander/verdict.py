@@ -40,7 +40,7 @@ class PosteriorFindings:
     the root mean square `speed`, rad/s. `interval_s`: median time between samples; `p_value`, `noise_sigmas`: of the predictive
     check; `accused`: sentences on panels with many outliers; `pareto_k`, `effective`: Pareto index and effective sample size of the
     draws; `doubts`: on the search, in words; `dark`: when no panel was lit, in words, or empty; `complete`: the search has left out
-    no motion that may fit.
+    no motion that may fit; `alike`: which solutions panels on shared inputs cannot distinguish, in words, or empty.
     """
 
     probability: np.ndarray
@@ -56,6 +56,7 @@ class PosteriorFindings:
     doubts: list[str]
     dark: str
     complete: bool
+    alike: str = ""
 
     @property
     def counted(self) -> np.ndarray:
@@ -96,7 +97,9 @@ def posterior_words(findings: PosteriorFindings) -> tuple[str, str]:
         return "not sure", text + _eclipse_text(findings)
     if findings.refused:
         return "not explained", _not_explained(findings)
-    text = "; ".join([_solutions_text(findings), *findings.accused])
+    # symmetric solutions are fitted too: of a unique solution they do not fit, because inertia or wheels exclude them
+    alike = [findings.alike] if findings.alike and not findings.unique else []
+    text = "; ".join([_solutions_text(findings), *findings.accused, *alike])
     if doubts := [*findings.doubts, *findings.approximate]:
         text = f"not sure: {'; '.join(doubts)}; result so far: {text}"
         return "not sure", text + _eclipse_text(findings)

@@ -88,7 +88,8 @@ def observe_window(
         index = index[np.unique(even)]
     used = measured[index]
     power = np.where(used, power[index], 0.0)
-    threshold = float(vehicle.telemetry.lit_threshold or 0.0)
+    # (n_panel), as for directions to the Sun: of the file, else above the light on unlit panels, else above the noise
+    threshold = assessment.sun["lit_threshold"].values
     lit = (used & (power > threshold)).any(axis=1)
     if np.count_nonzero(lit) < 3:
         raise InputError(
@@ -180,7 +181,7 @@ def _left_out(quality: xr.Dataset, is_finite: np.ndarray, inside: np.ndarray) ->
 
 
 def _brightness(
-    vehicle: Vehicle, power: np.ndarray, used: np.ndarray, sigma: np.ndarray, threshold: float
+    vehicle: Vehicle, power: np.ndarray, used: np.ndarray, sigma: np.ndarray, threshold: np.ndarray
 ) -> float:
     """Return a first guess of the brightness, the signal of a panel of gain one at normal incidence, from readings (n, p).
 

@@ -77,7 +77,9 @@ def fit_lines(points: npt.ArrayLike, n_lines: int = 4, seed: int = 0) -> xr.Data
     cloud = np.asarray(points, dtype=np.float64)
     if cloud.ndim != 2 or cloud.shape[1] != 3 or not np.all(np.isfinite(cloud)):
         raise InputError("points must have the shape (n, 3) and be finite", got=cloud.shape)
-    if n_lines < 1 or len(np.unique(cloud, axis=0)) < 2 * n_lines:
+    if n_lines < 1:
+        raise InputError("n_lines must be at least one", got=n_lines)
+    if len(np.unique(cloud, axis=0)) < 2 * n_lines:
         raise InputError(
             f"{n_lines} lines need at least {2 * n_lines} different points",
             got=len(np.unique(cloud, axis=0)),

@@ -57,7 +57,8 @@ class Given(Term):
         value = np.atleast_1d(np.asarray(observation["value"], dtype=np.float64))
         valid = value.shape == (numbers,) and np.all(np.isfinite(value))
         if not (valid and np.isfinite(sigma) and sigma > 0):
-            what = f"a {kind} is {numbers} finite numbers with a positive sigma"
+            size = "one finite number" if numbers == 1 else f"{numbers} finite numbers"
+            what = f"a {kind} is {size} with a positive sigma"
             raise InputError(what, got=str(dict(observation)))
         length = np.linalg.norm(value)
         if kind == "direction":

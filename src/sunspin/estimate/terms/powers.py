@@ -83,7 +83,8 @@ class PanelPowers(Term):
     ----------
     power : (n, p), or (K, n, p) if each motion has readings of its own
     used, sigma : (n, p) readings that count; (p) stated noise of a reading of each input
-    threshold, largest : reading above which a panel counts as lit; largest reading
+    threshold : (p) or one for all, reading above which a panel counts as lit
+    largest : largest reading
     response : converts directions to signals of panels of gain one
     brightness : first guess of the reading of a panel of gain one at normal incidence
     throttled : all readings of a sample are reduced by one unknown factor
@@ -100,7 +101,7 @@ class PanelPowers(Term):
     power: np.ndarray
     used: np.ndarray
     sigma: np.ndarray
-    threshold: float
+    threshold: np.ndarray | float
     largest: float
     response: PanelResponse
     brightness: float
