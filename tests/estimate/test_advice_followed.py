@@ -16,7 +16,7 @@ from sunspin.estimate.model import AS_STATED
 from sunspin.estimate.rates import left_open_by_search, rates
 from sunspin.estimate.settings import RATES
 from sunspin.estimate.starts import fine_up_to
-from sunspin.estimate.verdict import more_effort
+from sunspin.estimate.verdict import WHEEL_LACKS, more_effort
 from sunspin.output.check import orbit as check_words
 from sunspin.telemetry.assess import assess
 from sunspin.vehicle.sensors import Gyro, Sensors
@@ -158,6 +158,7 @@ def test_a_body_whose_changing_rates_do_not_fit_a_sphere_is_asked_for_its_inerti
         (9e-4, 20.0, True, False, False),
         (9e-4, 22.0, True, False, True),  # they turn it by 0.05 rad from sample to sample
         (1e-3, 5.0, False, False, False),  # the inertia is known
+        (2e-3, 5.0, False, False, False),  # it is, but a wheel may turn that the file lacks
         (1e-3, 5.0, True, True, False),  # the strength is stated
     ],
 )
@@ -174,6 +175,7 @@ def test_strong_torques_of_a_body_without_an_inertia_ask_for_it(
     settings = replace(RATES, ladder=replace(RATES.ladder, rungs=rungs))
     words, counts = left_open_by_search(result, fits, solved, 1.0, settings)
     assert ("give its inertia" in words[0]) is asked and counts["no_sphere"] == asked
+    assert (WHEEL_LACKS in words[0]) is (noise >= 2e-3 and not sphere)
 
 
 @pytest.mark.long
