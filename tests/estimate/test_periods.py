@@ -155,7 +155,7 @@ def test_drawn_inertias_scatter_as_the_file_says_and_a_sphere_has_one():
 
 def test_rates_with_a_period_keep_probabilities_with_and_without_it():
     simulated, period = make_period(0, 0)
-    result = estimate(simulated, periods=[period])
+    result = estimate(simulated, periods=[period], column_tests=False)
     before = result["probability_without_periods"]
     assert before.dims == ("pass_id", "solution")
     assert result["probability"].values[0].sum() == pytest.approx(1, abs=1e-2)

@@ -93,7 +93,13 @@ class LateHelper:
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("helper", [None, LateHelper()], ids=["later", "meanwhile"])
+@pytest.mark.parametrize(
+    "helper",
+    [
+        pytest.param(None, marks=pytest.mark.slow, id="later"),
+        pytest.param(LateHelper(), id="meanwhile"),
+    ],
+)
 def test_the_page_is_there_before_the_posterior_and_stays_if_it_fails(
     tmp_path, monkeypatch, helper
 ):
