@@ -265,6 +265,11 @@ def denied_by_the_sun(
     makes up for them. Which axes are right is not said: with few panels the motion by the Sun alone may be wrong too. `telemetry`:
     of one pass, without an orbit. `motion`: its rate `omega_B` with the magnetometer, and `omega_cov_B`.
     """
+    # Panels in a plane leave the mirror image of each motion open, and one may not be found: of twenty right spinners one with two
+    # panels was accused.
+    normals = np.array([panel.normal_B for panel in vehicle.panels]).reshape(-1, 3)
+    if "sun_sensor_B" not in telemetry and np.linalg.matrix_rank(normals) < 3:
+        return None
     without = estimators.estimate_if_fits(vehicle, telemetry.drop_vars("field_B"))
     if without is None or not bool(without["search_complete"].values.all()):
         return None
