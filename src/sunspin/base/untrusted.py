@@ -9,10 +9,11 @@ import stat
 import subprocess
 import sys
 import tomllib
+from numbers import Integral
 from pathlib import Path
 from typing import Any
 
-from sunspin.base.errors import SunspinError
+from sunspin.base.errors import InputError, SunspinError
 
 SMALLEST, LARGEST = 1e-30, 1e30
 """Range of the sizes of numbers in files and options: beyond any in use, while squares and products stay finite."""
@@ -27,6 +28,12 @@ SIZES = f"0 or a finite number between {SMALLEST:g} and {LARGEST:g} in size"
 def is_sensible(value: float) -> bool:
     """Return whether a number is zero or of a size between `SMALLEST` and `LARGEST`."""
     return value == 0 or SMALLEST <= abs(value) <= LARGEST
+
+
+def require_whole(name: str, value: object, least: int) -> None:
+    """Raise `InputError` if an argument, called `name` in the message, is no whole number or below `least`."""
+    if isinstance(value, bool) or not isinstance(value, Integral) or int(value) < least:
+        raise InputError(f"{name} must be a whole number of at least {least}", got=value)
 
 
 def plain_number(text: str) -> float:

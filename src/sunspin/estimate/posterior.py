@@ -19,6 +19,7 @@ from tqdm import tqdm
 
 from sunspin.base.errors import InputError
 from sunspin.base.provenance import provenance, with_units
+from sunspin.base.untrusted import require_whole
 from sunspin.estimate.budget import Budget
 from sunspin.estimate.equivalence import columns_seen
 from sunspin.estimate.lander.carrier import Shooting
@@ -142,7 +143,8 @@ def posterior(
     InputError
         Priors, observations or a window that make no sense; too few samples.
     """
-    _require_whole(seed, draws)
+    require_whole("seed", seed, 0)
+    require_whole("draws", draws, 1)
     # streams of random numbers: for each of three models, and again after a second search; for the draws of the result; for checks
     streams = [np.random.default_rng(child) for child in np.random.SeedSequence(seed).spawn(8)]
     of_models, of_result, of_checks = streams[:6], streams[6], streams[7]
@@ -389,13 +391,6 @@ def _nothing_drawn(model: LanderModel) -> InputError:
 def _write_line(line: str) -> None:
     """Write a line on the standard error, above any progress bar."""
     tqdm.write(f"sunspin: {line}", file=sys.stderr)
-
-
-def _require_whole(seed: Any, draws: Any) -> None:
-    """Raise InputError for a seed or a number of draws that is no whole number, or is too small."""
-    for name, value, least in (("seed", seed, 0), ("draws", draws, 1)):
-        if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < least:
-            raise InputError(f"{name} must be a whole number of at least {least}", got=value)
 
 
 def _about(

@@ -36,6 +36,7 @@ from scipy.optimize import brentq
 from scipy.spatial.transform import Rotation
 
 from sunspin.base.errors import InputError
+from sunspin.base.untrusted import require_whole
 from sunspin.cases import Case, load_case
 from sunspin.dynamics.impact import impact
 from sunspin.dynamics.propagate import propagate
@@ -124,8 +125,7 @@ def twin(
     """
     if isinstance(source, str):
         source = load_case(source)
-    if isinstance(seed, bool) or not isinstance(seed, int | np.integer) or seed < 0:
-        raise InputError("seed must be a whole number of at least 0", got=seed)
+    require_whole("seed", seed, 0)
     if truth is None:
         if isinstance(source, Case) and source.name == "philae":
             return philae_twin(seed, **landing)

@@ -137,6 +137,14 @@ class AxisColumns(NamedTuple):
     unit: float | None
 
 
+class _Times(NamedTuple):
+    """The column of times, that of dates if it has times of day (else None), and lines of the section on how to read them."""
+
+    column: str
+    date_column: str | None
+    lines: list[str]
+
+
 class _Group(NamedTuple):
     """Columns of one kind: the column of each face, the quantity, the size of the file's unit, and how both are known.
 
@@ -164,17 +172,19 @@ def suggest_section(table: TextTable, panels: dict[str, str] | None = None) -> S
     The table may have one value a row (:func:`sunspin.telemetry.layout.pivot_series`). `panels`: names of a vehicle's panels by
     the face on which they are; default: the face itself.
     """
-    if (time := _time_column(table)) is None:
+    if (time := _find_times(table)) is None:
         return None
-    time_column, time_lines = time
-    table = pivot_series(table, time_column, set()).table
+    table = pivot_series(table, time.column, set()).table
     if (group := _best_group(table)) is None:
         return None
+    date_columns = [] if time.date_column is None else [time.date_column]
+    date_lines = [_entry(f"date_column = {toml_string(name)}", "") for name in date_columns]
     lines = [
         "[telemetry]",
         _entry(f'quantity = "{group.quantity}"', ""),
-        _entry(f"time_column = {toml_string(time_column)}", ""),
-        *time_lines,
+        _entry(f"time_column = {toml_string(time.column)}", ""),
+        *date_lines,
+        *time.lines,
         _entry(f"scale = {group.scale:g}", group.reason),
         _entry('bad_rows = "flag"', "sort rows, merge repeats, name what cannot be used"),
         "[telemetry.columns]",
@@ -184,8 +194,7 @@ def suggest_section(table: TextTable, panels: dict[str, str] | None = None) -> S
             if panels is None or face in panels
         ),
     ]
-    dates = {name for name in table.header if f"date_column = {toml_string(name)}" in time_lines}
-    used = {time_column, *dates, *group.columns.values()}
+    used = {time.column, *date_columns, *group.columns.values()}
     if others := [name for name in table.header if name not in used]:
         shown = ", ".join(map(toml_string, others[:12])) + (", ..." * (len(others) > 12))
         lines.append(f"# not read: {shown}")
@@ -205,26 +214,33 @@ def suggest_section(table: TextTable, panels: dict[str, str] | None = None) -> S
 
 def explain_missing(table: TextTable) -> tuple[str, str]:
     """Return in words why no section is suggested for a table (times, panels or numbers are missing), and what to do."""
+    has_times = _find_times(table) is not None
     for column in table.header:
-        cell = next((cell.strip() for cell in table.cells[column] if cell.strip()), "")
-        is_face = FACE.search(_words(_split_unit(column)[0])) is not None
-        if is_face and any(map(str.isdigit, cell)) and not _is_numeric(table, column):
+        if FACE.search(_words(_split_unit(column)[0])) and (
+            cell := _unreadable_cell(table, column)
+        ):
             what = f"column {column!r} may be of a panel, but its cells are not numbers, such as {cell[:30]!r}"
             return what, "write plain decimals, such as -1.5e-3"
-    times = "times" if _time_column(table) is None else ""
-    if times:
-        for column in table.header:
-            cell = next((cell.strip() for cell in table.cells[column] if cell.strip()), "")
-            is_named = bool(set(re.findall(r"[a-z]+", _words(column))) & set(TIME_WORDS))
-            if is_named and any(map(str.isdigit, cell)) and not _is_numeric(table, column):
-                what = f"column {column!r} may hold times, but they cannot be read, such as {cell[:40]!r}"
-                return what, "write them as 2026-01-31T23:59:59Z"
+    for column in [] if has_times else table.header:
+        is_named = bool(set(re.findall(r"[a-z]+", _words(column))) & set(TIME_WORDS))
+        if is_named and (cell := _unreadable_cell(table, column)):
+            what = (
+                f"column {column!r} may hold times, but they cannot be read, such as {cell[:40]!r}"
+            )
+            return what, "write them as 2026-01-31T23:59:59Z"
+    times = "" if has_times else "times"
     panels = "" if _best_group(table) else "currents or powers of panels on two faces"
     do = (
         "names such as `time` or `ts_ms`, `px`, `I_X+ [mA]` are recognised: rename the columns, or write [telemetry] by hand "
         "(`sunspin init DIR` has an example)"
     )
     return f"no columns look like {' and '.join(filter(None, (times, panels)))}", do
+
+
+def _unreadable_cell(table: TextTable, column: str) -> str:
+    """Return the first cell of a column with digits whose cells are mostly no numbers; empty if the column is another one."""
+    cell = next((cell.strip() for cell in table.cells[column] if cell.strip()), "")
+    return cell if any(map(str.isdigit, cell)) and not _is_numeric(table, column) else ""
 
 
 def _sensor_columns(table: TextTable, used: set[str]) -> dict[str, AxisColumns]:
@@ -408,8 +424,8 @@ def _is_numeric(table: TextTable, column: str) -> bool:
     return bool(cells) and float(np.mean(numbers)) >= READ_SHARE
 
 
-def _time_column(table: TextTable) -> tuple[str, list[str]] | None:
-    """Return the column of times and the lines of the section that say how it is read; None if there is none."""
+def _find_times(table: TextTable) -> _Times | None:
+    """Return the column of times and how it is read; None if there is none."""
     ranked = []
     for place, column in enumerate(table.header):
         words = set(re.findall(r"[a-z]+", _words(column)))
@@ -433,8 +449,8 @@ def _time_column(table: TextTable) -> tuple[str, list[str]] | None:
         return None
     rank, *_, column, lines = min(ranked)
     if rank == 1 and (clock := _clock_column(table)) is not None:
-        return clock, [_entry(f"date_column = {toml_string(column)}", ""), *lines]
-    return column, lines
+        return _Times(clock, column, lines)
+    return _Times(column, None, lines)
 
 
 def _clock_column(table: TextTable) -> str | None:
