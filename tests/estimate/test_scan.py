@@ -93,6 +93,7 @@ def test_the_near_minimum_set_by_hand():
     coords = {"omega_x": [0.5], "omega_y": [0.1, 0.2], "omega_z": [-0.1, 0.1]}
     volume = xr.DataArray([[[1.0, 1.05], [2.0, 1.11]]], coords, AXES)
     np.testing.assert_array_equal(near_minimum(volume, 1.1), [[0.5, 0.1, -0.1], [0.5, 0.1, 0.1]])
+    np.testing.assert_array_equal(near_minimum(volume - 1.0), [[0.5, 0.1, -0.1]])  # smallest: 0
 
 
 def test_rows_that_failed_are_never_in_the_near_minimum_set():

@@ -65,6 +65,16 @@ def test_the_best_wheel_off_delay_has_the_largest_probability(strategies):
         st.best_delay(ss.load_vehicle("philae"), [[0.1, 0, 0]], [0.0], "happiness", 4)
 
 
+def test_a_quantity_that_no_run_knows_at_all_delays_has_no_best_one(monkeypatch):
+    per_run, at = st.per_run, {"delay:0": np.array([1, np.nan]), "delay:600": np.array([np.nan, 1])}
+    monkeypatch.setattr(
+        st, "per_run", lambda runs: per_run(runs) | {"touch_leg": at[runs.strategy]}
+    )
+    with pytest.raises(ss.InputError, match="do not tell the quantity") as refused:
+        st.best_delay(ss.load_vehicle("philae"), [[0.1, 0, 0]], [0.0, 600.0], "touch_leg", 2)
+    assert "touch_leg" not in str(refused.value).partition("known: ")[2]
+
+
 def test_the_wheel_may_stop_on_the_ground_without_sliding():
     """Section 4: 5 N m printed, the law gives 3.4e-3; 5 N m s is the angular momentum."""
     way = {x["way"]: x for x in st.wheel_stop_at_rest(ss.load_vehicle("philae"), 1e-3)}

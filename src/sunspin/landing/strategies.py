@@ -137,40 +137,46 @@ def best_delay(
     scenario: Scenario | None = None,
     **options: Any,
 ) -> xr.Dataset:
-    """Find the delay of switching off (s after the touchdown) that maximises the mean of `metric`, with its uncertainty.
+    """Find the delay of switching off the wheels (s after the touchdown) with the largest mean of `metric`, and its uncertainty.
 
-    All delays are computed on the same draws; by default eleven delays before the landing. The uncertainty is that of the Monte
-    Carlo runs and their scenario, not of the models (vertical, terrain, hull). The largest of many noisy means is biased upward;
-    use `as_good` instead of `value`.
+    `metric`: a quantity of :func:`sunspin.landing.tally.per_run`. `delays_s`: by default :data:`DELAYS_S`, or as many even ones if
+    the landing comes before the last of these. All delays are computed on the same draws. The uncertainty is that of the draws, not
+    of the models (vertical, terrain, hull). The largest of many noisy means is biased upward; use `as_good` instead of `value`.
 
     Returns
     -------
     xarray.Dataset
         The table of :func:`compare` with a strategy for each delay, `delay_s (strategy)`; `behind` and `behind_error (strategy)`:
-        mean difference of `metric` from the best delay, run by run; `as_good (strategy)`: not behind by more than two errors.
-        `attrs`: `metric`, `best_s`, and `spread_s`, the central 68 % of the best delay over resampled runs.
+        mean of `metric` less that at the best delay, and its standard error; `as_good (strategy)`: not behind by more than two
+        errors. `attrs`: `metric`, `best_s`, and `spread_s`, 16 and 84 % quantiles of the best delay over resampled runs.
 
     Raises
     ------
     InputError
-        The vehicle has no wheel, or the runs do not determine `metric`.
+        The vehicle has no wheel, or no run determines `metric` at all delays.
     """
     if not vehicle.wheels:
         raise InputError(f"vehicle {vehicle.name!r} has no wheel to switch off")
     scenario = scenario or default_scenario(vehicle)
     if delays_s is None:
-        # a flight too short for the usual delays gets evenly spread ones
+        # even delays if the usual ones do not all fit before the landing
         even = np.linspace(0.0, scenario.landing_s, len(DELAYS_S), endpoint=False).round(1).tolist()
         delays_s = DELAYS_S if scenario.landing_s > DELAYS_S[-1] else even
     table, runs = compare(
         vehicle, candidates, [delayed_switch_off(t) for t in delays_s], n, seed, scenario, **options
     )
-    metrics = [per_run(of_delay).get(metric, np.array([np.nan])) for of_delay in runs.values()]
-    if not np.isfinite(metrics[0]).any():
-        what, known = "these runs do not tell the quantity to be made largest", table["quantity"]
-        raise InputError(what, got=metric, do=f"known: {', '.join(known.values)}")
-    values = np.array(metrics)  # (delay, run)
-    values = values[:, np.isfinite(values).all(axis=0)]  # runs that are known for all delays
+    of_delays = [per_run(of_delay) for of_delay in runs.values()]
+
+    def known_values(quantity: str) -> np.ndarray:
+        """Return the values (delay, run) of a quantity, of the runs in which it is known at all delays."""
+        values = np.array([each.get(quantity, np.full(n, np.nan)) for each in of_delays])
+        return values[:, np.isfinite(values).all(axis=0)]
+
+    values = known_values(metric)
+    if not values.size:
+        what = "these runs do not tell the quantity to be made largest"
+        known = [name for name in table["quantity"].values if known_values(name).size]
+        raise InputError(what, got=metric, do=f"known: {', '.join(known)}")
     best = int(np.argmax(values.mean(axis=1)))
     behind, error = np.array([estimate(row - values[best]) for row in values]).T
     delays = np.array(delays_s, dtype=np.float64)

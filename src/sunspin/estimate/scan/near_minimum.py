@@ -19,7 +19,7 @@ from sunspin.vehicle.assumptions import TABLES
 def near_minimum(emd: xr.DataArray, factor: float = 1.1) -> np.ndarray:
     """Return the grid points (n, 3) in rad/s with `emd` below `factor` times the smallest (paper, eq. 14 with factor 1.1).
 
-    Rows whose `outcome` says that they could not be computed are left out.
+    If the smallest is 0, they are the points with 0. Rows whose `outcome` says that they could not be computed are left out.
 
     Parameters
     ----------
@@ -38,7 +38,8 @@ def near_minimum(emd: xr.DataArray, factor: float = 1.1) -> np.ndarray:
         raise InputError(
             "no motion of the grid could be computed", do="see its coordinate `outcome`"
         )
-    return below(emd, factor * np.nanmin(values))
+    # if the smallest is 0, only 0 is below the least positive number
+    return below(emd, max(factor * np.nanmin(values), np.nextafter(0.0, 1.0)))
 
 
 def below(emd: xr.DataArray, threshold: float) -> np.ndarray:
@@ -63,11 +64,12 @@ def with_near_minimum(
     n_lines: int,
     seed: int,
 ) -> xr.Dataset:
-    """Return a scan with its near-minimum set, and with the lines of :func:`sunspin.fit_lines` through it, for `sunspin scan`.
+    """Return the scan that `sunspin scan` writes: the volume, its near-minimum set, and straight lines fitted to the set.
 
-    The set is the variable `near_minimum (near_point, rate_axis)`, rad/s. It contains the motions whose value in `volume`, an EMD
-    or E as returned by `scan`, is within `factor` times the smallest value, or below `threshold` if that is given. `seed`: of the
-    fit of lines. There are no lines if the set has fewer than two points for each. Raises `InputError` if the set is empty.
+    `volume`: an EMD or E over the grid, as returned by `scan`. The set is the variable `near_minimum (near_point, rate_axis)`,
+    rad/s: the motions of :func:`near_minimum` with `factor`, or those with a value below `threshold` if that is given. The lines
+    are those of :func:`sunspin.fit_lines` with `seed`; there are none if the set has fewer than two points for each line. Raises
+    `InputError` if no motion is below the threshold.
     """
     points = near_minimum(volume, factor) if threshold is None else below(volume, threshold)
     if not len(points):
@@ -82,7 +84,7 @@ def with_near_minimum(
     )
     if n_lines and len(points) >= 2 * n_lines:
         lines = fit_lines(points, n_lines, seed=seed)
-        # Lines get dimensions that do not clash with those of the set, except for its points. The attributes remain the scan's.
+        # the points `n` of the lines are those of the set, but their components `axis` are no rates; the scan's attributes remain
         lines = lines.rename({"axis": "line_axis", "n": "near_point"})
         scan = scan.merge(lines, combine_attrs="override")
     of_vehicle = {key: volume.attrs[key] for key in ("vehicle", "changes") if key in volume.attrs}
