@@ -11,10 +11,10 @@ The equations are quadratic, so that the coefficient of order k + 1 follows from
 for every vector v that is fixed in space. Coefficients are scaled by the step: c[k] holds (dt^k / k!) d^k y / dt^k, and the state
 after the share x of the step is the sum of c[k] x^k.
 
-**The common rotation** SPIN H is a part of omega that is treated apart: rows OMEGA hold omega - SPIN H. H itself does not depend
-on it, since H x H = 0. A direction v is then given in axes that rotate about H at the rate SPIN |H| relative to the body. That is
-most of its motion: the rest is slow, and steps are longer. `wheels.straighten` brings directions back to body axes when they are
-needed.
+**The common rotation** SPIN H is a part of omega that is treated apart; SPIN is a number in 1/(kg m2) for each lane. Rows OMEGA
+hold omega - SPIN H. H itself does not depend on it, since H x H = 0. A direction v is then given in axes that rotate about H at the
+rate SPIN |H| relative to the body. That is most of its motion: the rest is slow, and steps are longer. `wheels.straighten` brings
+directions back to body axes when they are needed.
 
 Torques change H in space. Then the part treated apart is SPIN PIVOT. PIVOT is a vector fixed in space, equal to H when directions
 were last straightened. For directions the same holds about PIVOT, exactly, and the rest is slow while H is near it
@@ -117,9 +117,10 @@ def write_rates(lanes, n_wheels, k):
 
 @compiled
 def write_rates_under_torques(c, p, k):
-    """Write coefficient k of omega into the rows RATE, and replace omega - SPIN H in the rows OMEGA by omega - SPIN PIVOT."""
+    """Write coefficient k of omega into the rows RATE, and change that in OMEGA from omega - SPIN H to omega - SPIN PIVOT."""
     for l in range(L):
         spin = p[SPIN + l]
+        # omega = (omega - SPIN H) + SPIN H
         x, y, z = spin * c[k, H + l], spin * c[k, H + L + l], spin * c[k, H + 2 * L + l]
         c[k, RATE + l] = c[k, OMEGA + l] + x
         c[k, RATE + L + l] = c[k, OMEGA + L + l] + y

@@ -248,14 +248,15 @@ def write_due(lanes, clock, n_wheels, l, task, states):
 # ---- the run -------------------------------------------------------------------------------------
 @compiled
 def end_step(lanes, clock, motions, task, answer, l):
-    """Apply the wheel's event that ends the step of lane l, if one does; return whether the motion has ended.
+    """Apply the event of a wheel that ends the step of lane l, if any; return whether the motion in the lane has ended.
 
-    The event is written into `answer`, and the outcome if the motion has ended before the end of the run.
+    It has ended if all outputs are reached, or for a reason that is written into `answer.outcome`: PAST_UNKNOWN, CHATTERS (too many
+    events) or NOT_FINITE (also too many steps). The event and its time are written into `answer`, as far as there is room.
     """
     n_wheels, row = len(motions.axes), clock.row[l]
     done = clock.due[l] >= len(task.ends)
     if clock.wheel[l] >= 0:
-        body = row if len(motions.modes) > 1 else 0
+        body = row if len(motions.modes) > 1 else 0  # one body for all motions, or one for each
         what = pass_event(lanes, n_wheels, l, motions.modes[body], task.torques, clock.wheel[l])
         count = answer.n_events[row]
         if count < answer.events.shape[1]:
@@ -264,7 +265,7 @@ def end_step(lanes, clock, motions, task, answer, l):
             answer.events[row, count, 1], answer.events[row, count, 2] = clock.wheel[l], what
         answer.n_events[row] += 1
         clock.wheel[l] = -1
-        if what == RESTS or what == OVERLOADED:
+        if what == RESTS or what == OVERLOADED:  # backward: its past is not determined
             answer.outcome[row], done = PAST_UNKNOWN, True
         elif answer.n_events[row] >= task.most_events:
             answer.outcome[row], done = CHATTERS, True
