@@ -54,7 +54,7 @@ class Fit:
 
     `log_evidence` (K): log of the integral of the posterior density around each, by Laplace's method. `u_covariance` (K, m, m): of
     the unknowns, in their prior sigmas; `states_by_u` (K, n, 6, m): change of turn and rate at the samples by one sigma of each
-    unknown. `lowest`: the motions of least cost, if `motions` are averages over several prior sigmas (`evidence.over_shares`).
+    unknown. `lowest`: the motions of least cost, if `motions` are averages over several prior sigmas (`evidence.sum_over_shares`).
     """
 
     model: Model
@@ -445,19 +445,20 @@ def fit(
 
 
 def bent_step(model: Model, motions: Track, change: np.ndarray, u: np.ndarray) -> Track:
-    """Return motions after a step `change` (K, n, 6) of turns and rates, with new unknowns u (K, m), along the equations of motion.
+    """Return motions after a step along the equations of motion: `change` (K, n, 6) of turns and rates, new unknowns u (K, m).
 
-    A straight step adds `change` to the states and violates the equations of motion. Under weak torques such defects cost much, so
-    only short steps along a valley of inertia and rates are accepted. Here only the state of the middle sample moves by its change.
-    All others follow from it by the equations of motion, and by the defects that linear theory predicts after the step. This is the
-    step of a lifted Newton method (Albersmeyer and Diehl 2010, SIAM J. Optim. 20, 1655).
+    A straight step adds `change` to all states. They then violate the equations of motion, which are not linear. Under weak torques
+    such defects cost much, so only short straight steps along a valley of inertia and rates are accepted. Here only the state of
+    the middle sample is changed. The others follow by the equations of motion and the defect that linear theory predicts at the end
+    of each interval. This is the step of a lifted Newton method (Albersmeyer and Diehl 2010, SIAM J. Optim. 20, 1655).
     """
     obs, dt = model.obs, np.diff(model.obs.t_s)
     defect = defects(model, motions)
+    # (K, n - 1, 6) defects after the step by linear theory, in sigmas
     predicted = defect.value + np.einsum("knij,knj->kni", defect.by_first, change[:, :-1])
     predicted += np.einsum("knij,knj->kni", defect.by_second, change[:, 1:])
     predicted += np.einsum("knim,km->kni", defect.by_u, u - motions.u)
-    # what is added to a torque-free motion at the end of each interval: the predicted defect, and torques
+    # turn and rate that are added to a torque-free motion at the end of each interval: the predicted defect, and what torques add
     added = defect.unwhitened(predicted)
     for term, u_slice in model.terms_with_slices:
         by_unknowns, known = term.added_by_unknowns(motions, dt), term.added_by_torque(motions, dt)
@@ -467,6 +468,7 @@ def bent_step(model: Model, motions: Track, change: np.ndarray, u: np.ndarray) -
             added += known
 
     inertia = model.body.inertia_at(u[:, model.inertia_slice])
+    # after a straight step; below, all states but that of the middle sample are replaced
     attitude = rotate_attitude(motions.attitude, change[..., TURN])
     omega = motions.omega + change[..., RATE]
     middle, last = len(obs) // 2, len(obs) - 1
@@ -477,8 +479,7 @@ def bent_step(model: Model, motions: Track, change: np.ndarray, u: np.ndarray) -
         attitude[:, end] = rotate_attitude(torque_free, added[:, start, TURN])
         omega[:, end] = stepped.omega[:, 0] + added[:, start, RATE]
     for later in range(middle, 0, -1):
-        # Backward over the interval that begins at the sample `earlier`, whose number it has. What was added at its end is
-        # subtracted first.
+        # backward over the interval that has the index of its first sample; first, what is added at its end is subtracted
         earlier = later - 1
         attitude_before = rotate_attitude(attitude[:, later], -added[:, earlier, TURN])
         omega_before = omega[:, [later]] - added[:, [earlier], RATE]
@@ -501,23 +502,24 @@ def log_left_out(model: Model) -> float:
 
 
 def variance_of(fitted: Fit, weights: np.ndarray) -> np.ndarray:
-    """Return the variances (K, r) of r linear combinations of the turns and rates at all samples, with `weights` (K, n, r, 6).
+    """Return the variances (K, c) of c linear combinations of the turns (rad) and rates (rad/s) at all samples.
 
-    It is the variance for fixed unknowns plus what the covariance of the unknowns adds. The former is w^T H^-1 w, with the matrix H
-    of the normal equations of the states, which are solved once for each row w of the weights.
+    `weights` (K, n, c, 6): weight of each number of each state. The variance for fixed unknowns is w^T H^-1 w, where H is the
+    matrix of the undamped normal equations of the states. The covariance of the unknowns adds the other part.
     """
+    # without border: the equations of the states for fixed unknowns
     system = equations(fitted.model, fitted.motions)._replace(
         border=None, corner=None, border_slope=None
     )
-    variances = []
-    for row in range(weights.shape[2]):
-        w = weights[..., row, :]
-        # the solver returns -H^-1 slope
-        (inverse_times_w, _), _ = solve_bordered(system._replace(slope=-w), np.zeros(len(fitted)))
+    undamped, variances = np.zeros(len(fitted)), []
+    for number in range(weights.shape[2]):
+        w = weights[..., number, :]
+        # a step is -H^-1 slope, here H^-1 w
+        (inverse_times_w, _), _ = solve_bordered(system._replace(slope=-w), undamped)
         variances.append(np.einsum("kni,kni->k", w, inverse_times_w))
-    # the combinations change by B u with the unknowns u, whose covariance C adds B C B^T
-    by_u = np.einsum("knri,knim->krm", weights, fitted.states_by_u)
-    of_u = np.einsum("krm,kmj,krj->kr", by_u, fitted.u_covariance, by_u)
+    # the combinations change by B u with the unknowns u, whose covariance C adds B C B^T (p counts unknowns a second time)
+    by_u = np.einsum("knci,knim->kcm", weights, fitted.states_by_u)
+    of_u = np.einsum("kcm,kmp,kcp->kc", by_u, fitted.u_covariance, by_u)
     return np.maximum(np.stack(variances, axis=1), 0.0) + of_u
 
 

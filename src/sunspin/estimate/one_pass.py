@@ -191,20 +191,23 @@ def search_first(
 def with_alternatives(
     nominal: Model, fits: list[Fit], settings: RatesSettings, budget: Budget
 ) -> list[Fit]:
-    """Return the fits of the nominal model, and those of the alternative models that are not hopeless."""
+    """Return `fits`, those of the nominal model, and the fits of alternative models whose evidence is not far below the best.
+
+    The models are tried in turn until the budget is used up. If a magnetometer has an unknown zero offset, the search may have
+    dropped the true motion and kept an alias. So it is repeated under the model with such an offset if that has more evidence.
+    """
     fits, search = list(fits), settings.search
-    # the generator reads `fits` as they grow: a second step of the rate is added to the first
+    # `alternatives` reads this list while it grows: it tries a second step of the rate only if the first one raised the evidence
     for model in alternatives(nominal, fits, settings.alternatives):
         if budget.exhausted():
             break
         new = fits_of_alternative(model, fits, settings, budget)
-        # the model of a magnetometer that is not calibrated (`alternatives.another_zero`)
+        # several possible sigmas of the zero mark the model of a magnetometer without a stated one (`alternatives.another_zero`)
         fields = [term for term in model.obs.terms if isinstance(term, FieldChange)]
         if new and any(len(term.zero_shares) > 1 for term in fields):
-            # the search believed the magnetometer: the true motion may be lost, and an alias have taken its place
             gain = best_fit(new).log_evidence[0] - best_nominal_fit(fits).log_evidence[0]
             if gain > settings.alternatives.doubted:
-                with suppress(InputError):  # nothing else may fit
+                with suppress(InputError):  # the search may find no motion
                     tracks = search_motions(model, search.noise, search, budget)
                     again = fit_tracks(model, tracks, search.noise, settings)
                     new = merge_fits(new + again, settings.ladder, search)
@@ -324,20 +327,21 @@ def fit_tracks(
 
 
 def begin_again(fits: Sequence[Fit], s: RatesSettings) -> list[Fit]:
-    """Return fits of the most probable motion from new first guesses of its unknowns; none if they end at no lower cost.
+    """Return fits of the most probable motion from new first guesses of its unknowns; none if the cost hardly falls.
 
-    A first guess of the Earth's light is made along a motion (`Term.begin`). Motions of a search take the light of Sun and Earth
-    together for the Sun's, so that theirs may lead to a second minimum; the fitted motion gives a better guess. Without this a pass
-    was decided 7 sigma off whose true motion cost 11 less.
+    The Earth's light is first guessed for a motion of the search (`Term.first_guess`). A search takes the light of Sun and Earth
+    together for the Sun's, so that guess may lead the fit to a second minimum. The fitted motion gives a better one. Without this
+    step a wrong motion, 7 sigma off, was decided in a pass, while the true one had a cost lower by 11.
     """
     if not any(map(len, fits)):
         return []
     best = best_fit(fits)
     motion = best.to_begin_from
     begin = prepare_fit(best.model, Track.free(motion.attitude, motion.omega))
-    if not begin.u.any():  # no term guesses its unknowns
+    if not begin.u.any():  # no term guesses anything but zero
         return []
     again = fit(best.model, begin, s.ladder.first_steps, s.ladder.tolerance).motions
+    # a cost that is hardly lower is that of the same minimum
     if again.cost[0] >= motion.cost[0] - s.ladder.creeping:
         return []
     return ladder(best.model, again, s.ladder, s.search, best.model.noise.acceleration)

@@ -87,7 +87,7 @@ def fits_of_oscillation(
 
 
 def _fit_to_held(model: Model, motion: Track, held: Observations, s: LadderSettings) -> Fit:
-    """Return the fit of a motion (K = 1) of `model` to readings `held`, whose terms have their unknowns held (`Term.held`).
+    """Return the fit of a motion (K = 1) of `model` to readings `held`, whose terms are `Term.with_fixed_unknowns`.
 
     The unknowns of the body stay free, and so do those of terms that have some even then. Evidence is summed as in other fits.
     """

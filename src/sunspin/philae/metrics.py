@@ -108,7 +108,7 @@ def compute_sensitivity(case: Case, sun: xr.Dataset, options: Options) -> Sensit
     rates = scan(
         vehicle, samples, quoted / length, omega_x, omega_y, box[2][:1], speed, workers=workers
     ).isel(omega_z=0)
-    # `Motion.of` makes the direction a unit vector
+    # `ReferenceMotion.of` makes the direction a unit vector
     motion_8B = error_growth.ReferenceMotion.of(
         vehicle, paper["E_study_omega"], quoted, speed, window
     )

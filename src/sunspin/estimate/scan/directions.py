@@ -19,11 +19,12 @@ from sunspin.vehicle.response.planes import DirectionSet
 def reconstructible_mask(vehicle: Vehicle) -> DirectionSet:
     """Return the set of Sun directions that can be reconstructed from the readings of the vehicle's panels.
 
-    Which illumination patterns (sets of lit panels) suffice follows from the rules for telemetry. The result is data that the
-    compiled scan evaluates at every step: a logical formula of half-spaces, or a table over the sphere.
+    A direction belongs to it if the panels that it lights, its illumination pattern, suffice (:func:`reconstructible_patterns`).
+    The set is a logical formula of half-spaces, which the compiled scan evaluates at every step.
     """
     names = vehicle.input_names
     reconstructible = reconstructible_patterns(vehicle)
+    # all patterns that the Sun can make
     patterns = [frozenset(pattern) for pattern in lit_patterns(vehicle)]
     sufficient = [pattern for pattern in patterns if pattern in reconstructible]
     insufficient = [pattern for pattern in patterns if pattern not in reconstructible]
@@ -33,12 +34,12 @@ def reconstructible_mask(vehicle: Vehicle) -> DirectionSet:
             do="three lit panels with independent normals are needed somewhere",
         )
 
-    def lit(patterns: list[frozenset[str]]) -> np.ndarray:
-        """Return which inputs are lit in each pattern (n_pattern, n_input); n_pattern may be 0."""
+    def as_rows(patterns: list[frozenset[str]]) -> np.ndarray:
+        """Return which inputs are lit in each pattern, as booleans (n_pattern, n_input); n_pattern may be 0."""
         rows = [[name in pattern for name in names] for pattern in patterns]
         return np.array(rows, dtype=bool).reshape(-1, len(names))
 
-    return vehicle.response_in().direction_set(lit(sufficient), lit(insufficient))
+    return vehicle.response_in().direction_set(as_rows(sufficient), as_rows(insufficient))
 
 
 def directions_within(
