@@ -153,7 +153,7 @@ def log_posterior(model: LanderModel, state: LanderMotions, inside: np.ndarray) 
     values = np.full(len(state), LOWEST)
     if len(support):
         some = state.take(support)
-        carried = model.carried(some, DIRECTION_ERROR)
+        carried = model.sun_states(some, DIRECTION_ERROR)
         values[support] = prior[support] + model.log_likelihood(carried, some.u)
     return np.where(np.isfinite(values), values, LOWEST)
 

@@ -276,7 +276,7 @@ def log_density(
     model, _ = with_priors(assessment, observe_window(assessment), priors)
     motions = LanderMotions(omega_B, sun_B, _in_sigmas(model.unknowns, values))
     return model.log_likelihood(
-        model.carried(motions, DIRECTION_ERROR), motions.u
+        model.sun_states(motions, DIRECTION_ERROR), motions.u
     ) + model.log_prior_density(motions)
 
 

@@ -20,13 +20,13 @@ def test_a_motion_is_that_of_propagate_from_any_reference():
     t_s = 100.0 * np.arange(8)
     model = lander_model(t_s)
     run = ss.propagate(PHILAE, OMEGA, SUN, [w.speed_rad_s for w in PHILAE.wheels], t_s)
-    carried = model.carried(nominal(model), 1e-9)
+    carried = model.sun_states(nominal(model), 1e-9)
     np.testing.assert_allclose(carried.sun_B[0], run["sun_B"].values, atol=1e-7)
     later, fifth = model.after(400.0, model.max_rate), run.isel(time=[4])
     at = LanderMotions(fifth["omega_B"].values, fifth["sun_B"].values, nominal(model).u)
     speeds = fifth["wheel_speed_rad_s"].values
     np.testing.assert_allclose(later.wheel_speeds(at.u), speeds, rtol=2e-4)
-    again = later.carried(at, 1e-9)
+    again = later.sun_states(at, 1e-9)
     np.testing.assert_allclose(again.sun_B[0], run["sun_B"].values, atol=0.02)
     np.testing.assert_allclose(again.omega[0], run["omega_B"].values, atol=2e-3)
     assert later.first_speed(at, 1e-9)[0] == pytest.approx(np.linalg.norm(OMEGA), rel=1e-2)
@@ -115,7 +115,7 @@ def test_a_constant_torque_turns_the_body_by_its_largest_angle_over_the_samples(
     rest = replace(in_body, vehicle=replace(PHILAE, wheels=()), of_motion=in_body.of_motion[-3:])
     u = np.zeros((1, len(rest.unknowns)))
     u[0, 2] = 1.0
-    carried = rest.carried(LanderMotions(np.zeros((1, 3)), SUN[None], u), 1e-9)
+    carried = rest.sun_states(LanderMotions(np.zeros((1, 3)), SUN[None], u), 1e-9)
     inertia = PHILAE.require_inertia()
     rate = sigma * (np.trace(inertia) / 3) * np.linalg.solve(inertia, [0, 0, 1.0]) * 100.0
     np.testing.assert_allclose(carried.omega[0, 1], rate, rtol=0.02, atol=2e-5)

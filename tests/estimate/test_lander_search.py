@@ -79,12 +79,12 @@ def test_interpolated_attitudes_are_those_of_the_motion():
     middle = np.einsum("c,ncmq->nmq", corner_weights(np.full(3, 0.5)), turn)
     omega = grid.rates(cells) + 0.5 * grid.edge
     u = np.zeros((len(omega), len(model.unknowns)))
-    carried = model.carried(LanderMotions(omega, np.tile(SUN, (len(omega), 1)), u), 1e-6).sun_B
+    carried = model.sun_states(LanderMotions(omega, np.tile(SUN, (len(omega), 1)), u), 1e-6).sun_B
     off = rotated(middle, SUN) - carried[:, reference.others]
     assert np.linalg.norm(off, axis=-1).max() < 0.12
     assert np.sqrt(np.mean(np.sum(off**2, axis=-1))) < 0.05
     corner = LanderMotions(grid.rates(cells), np.tile(SUN, (len(omega), 1)), u)
-    exact = model.carried(corner, 1e-6).sun_B[:, reference.others]
+    exact = model.sun_states(corner, 1e-6).sun_B[:, reference.others]
     np.testing.assert_allclose(rotated(turn[:, 0], SUN), exact, atol=2e-3)
 
 
@@ -120,7 +120,7 @@ def test_every_motion_of_the_prior_reaches_a_rate_that_is_searched():
 
 def test_readings_contradict_no_direction_near_the_true_one_and_some_far_away():
     model = lander_model()
-    sun = model.carried(LanderMotions(OMEGA[None], SUN[None], np.zeros((1, 8))), 1e-8).sun_B
+    sun = model.sun_states(LanderMotions(OMEGA[None], SUN[None], np.zeros((1, 8))), 1e-8).sun_B
     rng = np.random.default_rng(2)
     near = move_on_sphere(np.tile(sun[0], (50, 1)), 0.2 * rng.standard_normal((400, 2)).clip(-1, 1))
     assert shortfall(model.panels, near.reshape(50, 8, 3), 0.35, GRID).max() == 0

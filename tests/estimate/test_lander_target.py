@@ -67,11 +67,11 @@ def test_likelihood_is_that_of_the_model():
     """To rounding for runs of the same error, and far below one for runs a thousand times as exact."""
     model = lander_model()
     target, motions = LanderTarget(model), near(model)
-    expected = model.log_likelihood(model.carried(motions, SEARCH_ERROR), motions.u)
+    expected = model.log_likelihood(model.sun_states(motions, SEARCH_ERROR), motions.u)
     assert target.log_likelihood(target.track(motions), motions.u) == pytest.approx(
         expected, abs=1e-9
     )
-    exact = model.log_likelihood(model.carried(motions, 1e-3 * SEARCH_ERROR), motions.u)
+    exact = model.log_likelihood(model.sun_states(motions, 1e-3 * SEARCH_ERROR), motions.u)
     assert expected == pytest.approx(exact, abs=0.05)
 
 
@@ -159,7 +159,7 @@ def test_the_density_of_a_sample_is_the_integral_over_its_time():
     model = late_model()
     exact = replace(model.panels, time_s=0.0)
     motions = off(model)
-    states, own = model.carried(motions, 1e-9), motions.u[:, model.of_panels]
+    states, own = model.sun_states(motions, 1e-9), motions.u[:, model.of_panels]
     nodes, weight = np.polynomial.hermite_e.hermegauss(201)
     total = 0.0
     for k in range(len(model.obs)):

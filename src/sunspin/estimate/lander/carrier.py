@@ -208,7 +208,7 @@ class Shooting:
         allowed = np.zeros(len(motions), dtype=bool)
         for start in range(0, len(motions), RUNS_AT_ONCE):
             rows = slice(start, start + RUNS_AT_ONCE)
-            sun = of_panels.carried(motions.take(rows), TRIAL_ERROR).sun_B
+            sun = of_panels.sun_states(motions.take(rows), TRIAL_ERROR).sun_B
             # of the best direction, or less; a Sun that is not a number is ruled out below
             squares = shortfall(at_sample.panels, np.nan_to_num(sun), look_rad, grid).sum(axis=1)
             allowed[rows] = (squares <= grid.limit) & np.isfinite(sun).all(axis=(1, 2))

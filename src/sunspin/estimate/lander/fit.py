@@ -138,7 +138,7 @@ class FitProblem:
 
         Rates are included if times of samples have errors, or if there are other observations than those of panels.
         """
-        states = self.model.carried(motions, error_rad)
+        states = self.model.sun_states(motions, error_rad)
         if not (self.model.given or self.model.panels.time_s):
             return states.sun_B
         return np.concatenate([states.sun_B, states.omega], axis=2)
@@ -240,7 +240,11 @@ class FitProblem:
         return self.equations(motions.u, linear, noise_factor)
 
     def linearised_after(self, state: FitState, noise_factor: float) -> DenseSystem:
-        """Return the normal equations after a step; the change of the track by it corrects the derivatives (:func:`corrected`)."""
+        """Return the normal equations at the motions after a step.
+
+        The track is computed there. Its derivatives from before the step are corrected so that they explain its change
+        (:func:`corrected`). Those of motions that could not be computed stay, by a step of zero.
+        """
         track = self.track(state.motions, self.error_rad)
         computed = np.all(np.isfinite(track), axis=(1, 2))
         change = np.where(computed[:, None, None], track - state.track_before, 0.0)
@@ -250,18 +254,21 @@ class FitProblem:
         return self.equations(state.u, linear, noise_factor)
 
     def equations(self, u: np.ndarray, linear: LinearReadings, noise_factor: float) -> DenseSystem:
-        """Return the normal equations in the free coordinates (F), with the priors of the unknowns u (K, m).
+        """Return the normal equations (:class:`DenseSystem`) in the F free coordinates, from readings and priors of the unknowns.
 
-        Their `extras` are `linear`. The cost is infinite for motions that could not be computed.
+        `u` (K, m): unknowns of the motions. `linear`: the readings to first order about these motions, returned in `extras`.
+        `noise_factor`: factor on the noise of the panels. The cost of motions that could not be computed is infinite.
         """
         fitted = self.fitted_unknowns
         cost, weight = self.weigh(linear.residuals, u, noise_factor)
-        prior, precision = self.model.prior_cost(u, self.sizes)
         normal, gradient = normal_equations(linear.residuals, linear.jacobian, weight)
+        # the prior of an unknown u adds its precision to the diagonal, and precision times u to the gradient
+        prior, precision = self.model.prior_cost(u, self.sizes)
         diagonal = np.arange(len(self.free_coordinates))
         normal[:, diagonal[UNKNOWNS], diagonal[UNKNOWNS]] += precision[:, fitted]
         gradient[:, UNKNOWNS] += precision[:, fitted] * u[:, fitted]
-        scale = np.einsum("kff->kf", normal).copy()  # the damping is without the floor
+        # Marquardt's damping is without the floor, which keeps the matrix regular if no reading determines a coordinate
+        scale = np.einsum("kff->kf", normal).copy()
         floor = FLOOR * scale.max(axis=1) + 1e-12
         normal[:, diagonal, diagonal] += floor[:, None]
         cost = np.where(linear.computed, cost + prior, np.inf)

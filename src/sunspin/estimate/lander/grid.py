@@ -181,11 +181,12 @@ def _wheels_run(model: LanderModel, after_s: float, s: GridSettings) -> bool:
 
 
 def _rate_limits(model: LanderModel, after_s: float, s: GridSettings) -> tuple[float, float]:
-    """Return the largest rate to search at a reference, and the largest allowed at the first sample (rad/s).
+    """Return the largest rate that may result at a reference, and the largest that is kept at the first sample (rad/s).
 
-    Wheels that run down give their momentum to the body, and with unequal moments the speed varies. So the limit of the prior,
-    which holds at the first sample, is widened at the reference. Most motions within the wider limit were too fast at the first
-    sample. They are left out if they exceed the second limit, which allows for the uncertainty of the friction.
+    The prior limits the rate at the first sample. Until the reference, `after_s` later, the body may become faster: wheels that run
+    down give it their momentum, and with unequal moments of inertia its speed varies. So the limit is wider at the reference. Most
+    motions within it were too fast at the first sample. They are left out if they exceed the second limit, which allows for a
+    margin (`faster_at_first`) and for the uncertainty of the friction (`spun_unsure`).
     """
     at_first = s.faster_at_first * model.max_rate
     if after_s == 0.0:

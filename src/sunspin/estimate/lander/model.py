@@ -194,16 +194,17 @@ class LanderModel:
 
     @cached_property
     def log_possible(self) -> float:
-        """Return the log of the prior probability that the unknowns describe a body that can exist (:meth:`_can_exist`).
+        """Return the log of the prior probability that a body with these unknowns can exist (:meth:`_can_exist`).
 
-        It normalises :meth:`log_prior_density`. It is estimated from `PRIOR_DRAWS` draws, and zero if no inertia is unknown.
+        :meth:`log_prior_density` is divided by this probability, so that it is normalised over the bodies that can exist. The
+        probability is estimated from `PRIOR_DRAWS` draws. It is one, and its log zero, if no inertia is unknown.
         """
         if not self.indices(*MASS):
             return 0.0
         # a fixed seed, as this is a property of the model: it must not change with the seed of the caller
         rng = np.random.default_rng(0)
         u = rng.standard_normal((PRIOR_DRAWS, len(self.unknowns)))
-        # in each draw all unknowns of a kind have the same one of its possible sigmas
+        # if a kind has several possible sigmas, each draw takes one of them for all unknowns of the kind
         for indices, shares, log_probability in self._with_several_sigmas():
             u[:, indices] *= rng.choice(shares, (PRIOR_DRAWS, 1), p=np.exp(log_probability))
         count = np.count_nonzero(self._can_exist(self._bodies_of(u)))
@@ -349,15 +350,15 @@ class LanderModel:
             leave_long=True,  # one motion with too many steps, far out in the priors, must not be an error for all
         )
 
-    def carried(self, motions: LanderMotions, error_rad: float) -> SunStates:
-        """Return the states of motions at all samples, propagated forward and backward from the reference.
+    def sun_states(self, motions: LanderMotions, error_rad: float) -> SunStates:
+        """Return rates and directions to the Sun of K motions at all samples, propagated from the reference to both sides.
 
-        Directions err by `error_rad` at most. The states of motions that could not be computed are not numbers.
+        `error_rad`: largest error of the directions. A motion that cannot be computed to all samples is NaN at all of them.
         """
         t_s, rows = self.obs.t_s, self.rows(motions)
         sun, omega = (np.empty((len(motions), len(t_s), 3)) for _ in range(2))
         computed = np.ones(len(motions), dtype=bool)
-        # samples in the order in which runs reach them from the reference
+        # times count from the reference, from which each run begins: the samples before it are reached latest first
         before, after = np.flatnonzero(t_s < 0)[::-1], np.flatnonzero(t_s >= 0)
         for samples in (before, after):
             if len(samples):

@@ -132,17 +132,18 @@ class StudentMixture(NamedTuple):
     def adapted(
         self, y: np.ndarray, weight: np.ndarray, settings: SamplingSettings
     ) -> StudentMixture:
-        """Return the mixture adapted to draws y (N, d) with weights (N), by one step of expectation and maximisation.
+        """Return the mixture adapted to draws y (N, d) with weights (N) of sum one, by one step of expectation and maximisation.
 
-        Each draw is divided among the components in proportion to their densities there. A component takes mean and covariance of
-        its parts; one with hardly any part is left out. The transform is computed again.
+        Each draw is shared by the components in proportion to their densities at y. A component takes mean and covariance of its
+        shares, the latter as scale matrix; one with hardly any share is left out. The transform is fitted to the draws again.
         """
         log_densities = self.log_densities(y, settings.freedom)
+        # (N, C) weight of each draw in each component
         part = np.exp(log_densities - logsumexp(log_densities, axis=1, keepdims=True))
         part = part * weight[:, None]
         used = np.flatnonzero(part.sum(axis=0) > LEAST_PART)
         part, mean, covariance = part[:, used], self.mean[used], self.covariance[used]
-        # carry the means from the straight points of the former transform to those of the new one
+        # put the old means into the straight coordinates of the new transform; the covariances are not changed by it
         transform = QuadraticTransform.of(y, weight, settings)
         if self.transform is not None:
             mean = self.transform.bent(mean)

@@ -54,7 +54,7 @@ class Sources:
     def sigma(self, key: str, stated: float | None, assumed: float, unit: str = "") -> float:
         """Return the sigma of the prior `key`, relative unless it has a unit; zero if the number is known.
 
-        `stated`: sigma of the vehicle file, None if it states none.
+        `stated`: sigma of the vehicle file, None if it states none; then it is `assumed`, unless the caller gives one.
         """
         value, source = (assumed, ASSUMED) if stated is None else (stated, STATED)
         if key in self.priors:
@@ -246,10 +246,10 @@ def wheel_unknown(name: str, vehicle: Vehicle, wheel: Wheel) -> str:
 
 
 def _wheel_unknowns(vehicle: Vehicle, mode: Any, sources: Sources) -> list[Unknown]:
-    """Return the unknowns of each wheel: speed (rad/s), and the logarithms of inertia and of both kinds of friction.
+    """Return four unknowns of each wheel: its speed (rad/s), and the logarithms of its inertia, Coulomb and viscous friction.
 
-    In the mode "hold" a motor keeps the speed, which is then known unless the vehicle file states a sigma, and friction does not
-    act. Sigmas may be zero.
+    `mode`: "coast", "hold" or "brake", or one for each wheel. A sigma of zero means that the number is known. A held speed is known
+    unless the caller or the vehicle file gives a sigma. Friction is known unless the wheel coasts.
     """
     unknowns = []
     commands = batch.one_command(vehicle, mode)
@@ -257,9 +257,9 @@ def _wheel_unknowns(vehicle: Vehicle, mode: Any, sources: Sources) -> list[Unkno
         at = f"wheel.{wheel.name}"
         speed = abs(wheel.speed_rad_s)
         fact = vehicle.facts.get(f"{at}.speed_rad_s")
-        may_turn = fact is not None and fact.sigma is not None
-        if not speed and may_turn and "wheel_speed" not in sources.priors:
-            # of a wheel at rest the sigma is not relative
+        sigma_in_file = fact is not None and fact.sigma is not None
+        if not speed and sigma_in_file and "wheel_speed" not in sources.priors:
+            # a wheel at rest: a relative sigma would be zero, so the sigma of the file is taken in rad/s
             sigma = sources.sigma("wheel_speed", float(np.asarray(fact.sigma)), 0.0, " rad/s")
         else:
             stated = _stated(vehicle, f"{at}.speed_rad_s", speed)

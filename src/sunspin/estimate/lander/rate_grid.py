@@ -52,14 +52,14 @@ class Sphere(NamedTuple):
 
     @classmethod
     def of(cls, model: LanderModel) -> Sphere:
-        """Return the sphere of the nominal body, with the mean moment of inertia."""
-        speeds = model.nominal_speeds(model.after_s)
-        # H is linear in omega: its values at rest and for unit rates about the axes give both parts
+        """Return the sphere with the mean moment of inertia and the angular momentum of the body and wheels of the vehicle file."""
+        speeds = model.nominal_speeds(model.after_s)  # at the model's reference
+        # H is linear in omega: at rest it is the part of the wheels, and what unit rates add are the columns of the inertia
         omega = np.concatenate([np.zeros((1, 3)), np.eye(3)])
         momentum = gyrostat.total_momentum(model.vehicle, omega, np.tile(speeds, (4, 1)))
-        by_rate = (momentum[1:] - momentum[0]).T
-        moment = np.trace(by_rate) / 3
-        return cls(by_rate / moment, momentum[0] / moment)
+        of_wheels, inertia = momentum[0], (momentum[1:] - momentum[0]).T
+        of_sphere = np.trace(inertia) / 3  # its moment of inertia
+        return cls(by_rate=inertia / of_sphere, at_rest=of_wheels / of_sphere)
 
     def rotations(self, omega: np.ndarray, times_s: np.ndarray) -> Rotation:
         """Return the sphere's rotations (n m), for body rates (n, 3): body components at the start to those at times (m)."""

@@ -101,18 +101,19 @@ class LanderTarget:
         return self._problem.track(motions, SEARCH_ERROR)
 
     def reading_slopes(self, track: np.ndarray, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the gradient (K, s) of the log likelihood by the reading unknowns, and minus its second derivatives (K, s, s).
+        """Return the gradient (K, s) of the log likelihood by the reading unknowns, and the matrix J'WJ (K, s, s).
 
-        The second derivatives are those of Gauss-Newton, J'WJ.
+        J'WJ is minus the second derivative in Gauss-Newton's approximation. The `track` (K, n, w) is fixed; `u` (K, m) are all
+        unknowns. Priors are not included. Both are zero for motions that could not be computed.
         """
-        # without derivatives of the track, those of the differences are by the reading unknowns alone
+        # Without derivatives of the track (c = 0) the Jacobian has only the columns of the reading unknowns. As the track is given,
+        # rate and direction at the reference are not used.
         problem, no_slopes = self._problem, np.zeros((len(u), 0, *track.shape[1:]))
-        # the differences do not use rate and direction at the reference
         unused = np.zeros((len(u), 3))
         linear = problem.linear_readings(LanderMotions(unused, unused, u), track, no_slopes)
-        _, weight = problem.weigh(linear.residuals, u, 1.0)
-        curvature, gradient = normal_equations(linear.residuals, linear.jacobian, weight)
-        return -gradient, curvature
+        _, weight = problem.weigh(linear.residuals, u, noise_factor=1.0)
+        curvature, cost_slope = normal_equations(linear.residuals, linear.jacobian, weight)
+        return -cost_slope, curvature
 
     def log_likelihood(self, track: np.ndarray, u: np.ndarray) -> np.ndarray:
         """Return the log likelihood (K) of all readings, given the track (K, n, w) and the unknowns u (K, m)."""

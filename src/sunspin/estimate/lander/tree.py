@@ -192,7 +192,7 @@ def _chi_square(mix: Mixture, best: np.ndarray) -> tuple[float, int]:
     """Return the sum of squared residuals of lit readings in stated sigmas, and the number of these, for the draw `best` (1)."""
     model, _, motions = next(mix.by_model(best))
     panels = model.panels
-    states = model.carried(motions, FINAL_ERROR)
+    states = model.sun_states(motions, FINAL_ERROR)
     residual, *_ = panels.residuals(states, motions.u[:, model.of_panels])
     lit = panels.lit
     return float(np.sum(residual.value[0][lit] ** 2)), int(np.count_nonzero(lit))
