@@ -14,7 +14,7 @@ from scipy.special import logsumexp
 from sunspin.base.errors import InputError
 from sunspin.estimate.model import Observations
 from sunspin.estimate.settings import GridSettings
-from sunspin.estimate.terms.given import Given, require_known
+from sunspin.estimate.terms.given import Given, require_usable
 from sunspin.estimate.terms.powers import PanelPowers
 from sunspin.telemetry.assess import Assessment
 from sunspin.telemetry.signals import signals
@@ -99,7 +99,7 @@ def observe_window(
         )
     sigma, noise_from = assessment.noise
     brightness = _brightness(vehicle, power, used, sigma, threshold)
-    require_known(observations, float(times[index[0]]), float(times[index[-1]]))
+    require_usable(observations, float(times[index[0]]), float(times[index[-1]]))
 
     # Another observation becomes a sample without panels, unless there is a sample at exactly its time. `place`: numbers of the
     # samples, first of the readings, then of the other observations.

@@ -50,7 +50,7 @@ class Given(Term):
     def of(cls, observation: Mapping[str, Any], at: int, count: int) -> Self:
         """Return the term of one reading, at the sample with index `at` of `count` samples; raise `InputError` for invalid values.
 
-        `observation`: the reading as the user states it. Its kind and keys are valid (:func:`require_known`).
+        `observation`: the reading as the user states it. Its kind and keys are valid (:func:`require_usable`).
         """
         kind, sigma = str(observation["kind"]), float(observation["sigma"])
         numbers = COMPONENTS[kind]
@@ -118,15 +118,15 @@ class Given(Term):
         yield Residual((predicted - self.value) * inverse, by_turn, by_rate, law=gaussian)
 
 
-def require_known(observations: Sequence[Mapping[str, Any]], start_s: float, end_s: float) -> None:
+def require_usable(observations: Sequence[Mapping[str, Any]], start_s: float, end_s: float) -> None:
     """Raise `InputError` for stated readings of an unknown kind, with wrong keys, or outside the window from start to end (s)."""
     for observation in observations:
         kind = str(observation.get("kind"))
         keys = {*KEYS, "angle_rad"} if kind == "field" else set(KEYS)
         if kind not in COMPONENTS or keys != set(observation):
             raise InputError(
-                f"an observation has kind ({', '.join(COMPONENTS)}), t_s, value and sigma, "
-                "a field also angle_rad, the Sun's from it",
+                f"an observation has kind ({', '.join(COMPONENTS)}), t_s, value and sigma; "
+                "a field has angle_rad too, the angle between the field and the Sun",
                 got=str(dict(observation)),
             )
         if not start_s <= float(observation["t_s"]) <= end_s:
