@@ -426,9 +426,9 @@ def _parse_epoch(epoch: str, scale: str, where: str) -> datetime:
 
 
 def _read_kvn(text: str) -> Iterator[dict[str, str]]:
-    """Yield the messages of a KVN text, without comments and units in brackets.
+    """Yield the messages of a text in KVN, a line `key = value` for each field, as dicts key -> value.
 
-    A repeated key, such as the version or the name, begins a new message.
+    Comments, units in brackets and semicolons after a value are left out. A key that the message already has begins the next one.
     """
     fields: dict[str, str] = {}
     for line in text.splitlines():

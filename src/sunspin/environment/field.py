@@ -45,7 +45,8 @@ RADIUS_STEP_M = 1e4
 class FieldMap(NamedTuple):
     """A map of the field on spheres of different radii.
 
-    `coefficients` (radii, 3, latitudes, longitudes): spline coefficients of B (r / a)^3 in T; `inverse`: a / r of each sphere.
+    `coefficients` (radii, 3, latitudes, longitudes): spline coefficients of B (r / a)^3 in T; `inverse` (radii): a / r. Here r is
+    the radius of a sphere, a `REFERENCE_M`. The grid begins `POLE_ROWS` steps beyond the north pole and west of longitude zero.
     """
 
     coefficients: np.ndarray
@@ -57,7 +58,7 @@ class FieldMap(NamedTuple):
         radius = np.linalg.norm(flat, axis=1)
         latitude = np.degrees(np.arcsin(flat[:, 2] / radius))
         longitude = np.degrees(np.arctan2(flat[:, 1], flat[:, 0])) % 360
-        # fractional indices into the map, which has `POLE_ROWS` more rows and columns before its first latitude and longitude
+        # fractional indices
         row, column = (90 - latitude) / STEP_DEG + POLE_ROWS, longitude / STEP_DEG + POLE_ROWS
         inverse, field = REFERENCE_M / radius, np.zeros_like(flat)
         for k, node in enumerate(self.inverse):

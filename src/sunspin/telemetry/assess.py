@@ -72,11 +72,12 @@ class Assessment:
 
     @cached_property
     def sensors(self) -> xr.Dataset:
-        """Telemetry in which repeated readings of sensors other than panels are NaN."""
+        """Telemetry in which readings of sensors other than panels are NaN if they repeat an earlier one, as no new measurement."""
         masked = {}
         for name in (*SENSORS, *DERIVED_FROM):
             if name not in self.telemetry:
                 continue
+            # what is computed from a sensor repeats when it does
             repeated = self.repeats.repeated(DERIVED_FROM.get(name, name))
             if repeated.any():
                 masked[name] = self.telemetry[name].where(xr.DataArray(~repeated, dims="time"))

@@ -705,14 +705,13 @@ def _passing_light(t_s: np.ndarray, away: np.ndarray, kept: np.ndarray, least: f
 
 
 def _earth_light(albedo: float, readings: int, noise: float) -> float:
-    """Return the Earth's light on a panel that looks straight at the Earth, as a share of full Sun.
+    """Return the Earth's light on a panel whose normal points to the Earth, as a share of full Sun.
 
-    Parameters
-    ----------
-    albedo : float
-        Light on panels that face away from the Sun, as a share of full Sun: 84 % quantile, `noise` (same unit) included.
-    readings : int
-        Readings that determine it. With fewer than `ALBEDO_READINGS` the result is 0.
+    `albedo`: 84 % quantile of the readings of panels that face away from the Sun; `noise`: one sigma of a reading (shares of full
+    Sun). `readings`: number of these readings. With fewer than `ALBEDO_READINGS` the result is 0.
+
+    A panel at the angle a from the Earth gets cos(a) of that light, so the 84 % quantile over random directions is
+    `COSINE_QUANTILE` of it. The noise is subtracted in squares, as if quantiles of 84 % were sigmas of normal errors.
     """
     if readings < ALBEDO_READINGS:
         return 0.0

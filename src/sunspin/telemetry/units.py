@@ -401,7 +401,10 @@ def median_direction_errors(
 def _check_magnetometer(
     magnetometer: Magnetometer, dipole: np.ndarray | None, field: np.ndarray
 ) -> list[WrongUnit]:
-    """Return the wrong units of a magnetometer's zero or noise and of the residual dipole, from the field (n, 3) in body axes."""
+    """Return which values of the vehicle file seem to have a wrong unit: the magnetometer's zero or noise, the residual dipole.
+
+    `field` (n, 3): body axes, unit of the columns, after zero and matrix. `dipole` (3): dipole x field is in rad/s2.
+    """
     field = field[np.isfinite(field).all(axis=1)]
     strength = 0.0
     if len(field) >= FEWEST_READINGS:
@@ -409,20 +412,19 @@ def _check_magnetometer(
     if strength == 0:  # too few readings, or a sensor that reads zero
         return []
     zero, noise = np.linalg.norm(magnetometer.zero), magnetometer.noise
-    # back to the readings of the columns, before zero and matrix were applied
+    # back to the readings of the columns: matrix, sign and zero are undone
     raw = field @ np.linalg.inv(magnetometer.matrix).T * magnetometer.sign + magnetometer.zero
     reading = float(np.median(np.linalg.norm(raw, axis=1)))
-    if zero > OFFSET * reading:  # then neither noise nor dipole can be judged
+    if zero > OFFSET * reading:  # the field is wrong too, so neither noise nor dipole can be judged
         what = f"the magnetometer reads {reading:.3g} and its stated zero is {zero:.3g}: the zero is in another unit"
         return [WrongUnit(what, "magnetometer", "zero")]
     wrong = []
-    # a field below half of its noise would not be measured at all
+    # a field weaker than half of its noise could not be measured
     if noise is not None and not 0.5 * noise < strength < FINEST * noise:
         what = f"the field reads {strength:.3g} and its stated noise is {noise:g}: the noise is in another unit than the columns"
         wrong.append(WrongUnit(what, "magnetometer", "noise"))
-    # the dipole is per moment of inertia, so that dipole times field is an angular acceleration
     acceleration = 0.0 if dipole is None else float(np.linalg.norm(dipole)) * strength
     if acceleration > ABSURD_ACCELERATION:
-        what = f"dipole times field is {acceleration:.2g} rad/s2, more than any dipole's: it is per another unit than the columns"
+        what = f"dipole times field is {acceleration:.2g} rad/s2, too much for any dipole: it is stated for a field in another unit"
         wrong.append(WrongUnit(what, "disturbance", "dipole"))
     return wrong
