@@ -45,7 +45,7 @@ def decode(raw: Path, decoder: str, output: Output) -> None:
 
 
 def _decode_skcube(raw: Path, folder: Path, output: Output) -> None:
-    """Write a table (CSV) for each kind of skCUBE's beacons, and report how many were decoded and how many frames were not read."""
+    """Decode skCUBE's beacons, write a table (CSV) for each of their kinds, and report how many were decoded and why others not."""
     from sunspin.output.folder import results_folder, write_whole
     from sunspin.telemetry.decoders.skcube import beacons_csv, decode_beacons
 
@@ -58,8 +58,8 @@ def _decode_skcube(raw: Path, folder: Path, output: Output) -> None:
         files[kind] = str(write_whole(target, text))
     lines = [f"{n:6d}  {kind} beacons: {files[kind]}" for kind, n in counts.items()]
     lines += [f"{n:6d}  not read: {why}" for why, n in beacons.unread.items()]
-    # attitude beacons are those of the kind ADCS
     summary: dict[str, Any] = {"frames": counts, "unread": beacons.unread, "files": files}
+    # the beacons of the kind ADCS hold the attitude
     summary |= {"attitude_beacons": counts.get("ADCS", 0), "file": files.get("ADCS")}
     output.report(summary, lines)
 

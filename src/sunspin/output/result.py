@@ -227,25 +227,26 @@ def prepare_to_draw(kinds: str) -> None:
 
 
 def draw(data: Any, context: Context, workers: int = 1) -> list[Picture]:
-    """Return all figures of a result, drawn side by side; none without the packages of ``sunspin[pictures]``."""
+    """Return all figures of a result, drawn by up to `workers` processes; none without the packages of ``sunspin[pictures]``."""
     if missing_packages("pictures"):
         return []
     drawings = list(data.sunspin._kind.drawings(data, context))
     with process_pool(min(workers, len(drawings))) as pool:
-        if pool is None:
+        if pool is None:  # fewer than two workers
             return [_drawn(drawing, data) for drawing in drawings]
+        # a drawing holds functions and cannot be sent to a process: each process makes the drawing of its number again
         numbers = range(len(drawings))
         return list(pool.map(_draw_one, repeat(data), repeat(context), numbers))
 
 
 def _draw_one(data: Any, context: Context, number: int) -> Picture:
-    """Return the figure of this number; a `Drawing` itself cannot be sent to another process."""
+    """Return the figure of the drawing with this number."""
     drawings = data.sunspin._kind.drawings(data, context)
     return _drawn(next(islice(drawings, number, None)), data)
 
 
 def _drawn(drawing: Drawing, data: Any) -> Picture:
-    """Return a figure of a result, drawn."""
+    """Return the figure of a drawing, with its caption; that of synthetic telemetry says so."""
     from sunspin.output.figures import render
     from sunspin.output.kind import Picture, synthetic_words
 

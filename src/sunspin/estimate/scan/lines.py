@@ -114,9 +114,10 @@ def _candidates(cloud: np.ndarray, rng: np.random.Generator) -> tuple[np.ndarray
 def _search(
     cloud: np.ndarray, n_lines: int, rng: np.random.Generator
 ) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Return the `N_REFINED` best sets of candidate lines, best first, each as points and directions (n_lines, 3).
+    """Return up to `N_REFINED` sets of candidate lines, that with the smallest sum of distances to the points `cloud` (n, 3) first.
 
-    The first start is greedy, the others are random. Each is improved by exchanges of one candidate (`_exchanged`).
+    Each set is given as points and directions (n_lines, 3). The first start of the search is greedy, the others are random. Each is
+    improved by exchanging one line at a time (:func:`_exchanged`). Starts that end at the same set count once.
     """
     sample = cloud
     if len(cloud) > N_SEARCH_POINTS:
@@ -124,7 +125,7 @@ def _search(
     origin, direction = _candidates(cloud, rng)
     # distances (m, n) of n points from m candidates
     cost = distances(sample, origin, direction)
-    # as many starts as keep the number of distances in the search below a limit
+    # a start needs about as many distances as `cost` has: a small cloud gets more starts
     n_starts = int(np.clip(SEARCH_DISTANCES // cost.size, MIN_STARTS, MAX_STARTS))
     starts = [_greedy(cost, n_lines)] + [
         rng.integers(len(cost), size=n_lines).tolist() for _ in range(n_starts - 1)
@@ -174,16 +175,17 @@ def _exchanged(cost: np.ndarray, chosen: list[int]) -> list[int]:
 def _refine(
     cloud: np.ndarray, origin: np.ndarray, direction: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the points and directions (n_lines, 3) of refined lines.
+    """Return the points and directions (n_lines, 3) of lines, refined from those given by `origin` and `direction`.
 
-    Points (n, 3) are assigned to the nearest line and lines are fitted to their points, in turn, until no point changes its line.
+    Two steps alternate until no point changes its line, or `MAX_ROUNDS` times: each point of `cloud` (n, 3) is assigned to its
+    nearest line, and each line is fitted to its points. A line with fewer than two points stays as it is.
     """
     origin, direction = origin.copy(), direction.copy()
     member = np.full(len(cloud), -1)
     for _ in range(MAX_ROUNDS):
         before, member = member, distances(cloud, origin, direction).argmin(axis=0)
         moved = before != member
-        # lines that have lost or gained a point; -1 before the first assignment is none
+        # lines that have lost or gained a point; in the first round points come from -1, no line
         changed = np.unique(np.concatenate([before[moved], member[moved]]))
         if changed.size == 0:
             break

@@ -155,10 +155,10 @@ class ScanRows:
     condition: DirectionSet | None = field(init=False)
 
     def __post_init__(self) -> None:
-        """Check the options, and set the default error and the condition of the mask."""
+        """Check the options, and set the default error and `condition`: the directions of the mask as compiled code takes them."""
         if self.mask not in ("reconstructible", None):
             raise InputError('mask must be "reconstructible" or None', got=self.mask)
-        batch.one_command(self.vehicle, self.wheel_mode)
+        batch.one_command(self.vehicle, self.wheel_mode)  # only for its check of the mode
         if self.emd_error is None and self.direction_error is None:
             if MEASURES[self.measure].histogram:
                 object.__setattr__(self, "emd_error", batch.EMD_ERROR)

@@ -139,7 +139,7 @@ def load() -> None:
 def escape_name(name: Any, most: int = LONGEST_NAME) -> str:
     """Return a name from a file as matplotlib should print it: dollar signs start no formula.
 
-    A name of more than `most` characters is shortened to its begin and end.
+    A name of more than `most` characters is shortened to its beginning and end.
     """
     text = str(name)
     if len(text) > most:
