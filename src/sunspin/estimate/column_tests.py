@@ -419,18 +419,20 @@ def rival_exchanges(
 
 
 def gain_in_evidence(result: xr.Dataset, as_written: xr.Dataset) -> float:
-    """Return by how much the log evidence of a pass is higher under a change of columns than with the file as it is written.
+    """Return by how much a change of columns raises the log evidence of a pass; zero if the sign depends on the panels' sigmas.
 
-    Both are results of `rates` on that pass. The sigmas of the panels' readings follow from the data and so differ between the two:
-    light on panels that should be dark counts as light of the Earth, and widens them. Narrower sigmas alone must not make a change
-    better, nor wider ones. So the evidence is compared with the logs of the sigmas and without, and the smaller difference counts.
-    If one is positive and the other negative, the gain is zero.
+    `result`, `as_written`: results of `rates` on that pass. Their sigmas of panel readings differ, as they follow from the data:
+    light on panels that should be dark counts as the Earth's, and widens them. Neither narrower nor wider sigmas alone may make a
+    change better. So the gain is computed with the factors 1 / sigma of the readings' densities, which `log_evidence` contains, and
+    without them. The gain nearer to zero is returned, or zero if their signs differ.
     """
     gain = float(result.attrs["log_evidence"][0] - as_written.attrs["log_evidence"][0])
-    wider = float(result.attrs["log_sigmas"][0] - as_written.attrs["log_sigmas"][0])
-    if gain * (gain + wider) <= 0:
+    # `log_evidence` contains minus `log_sigmas`, the sum of the logs of the sigmas; adding it takes it out
+    log_widening = float(result.attrs["log_sigmas"][0] - as_written.attrs["log_sigmas"][0])
+    gain_without_sigmas = gain + log_widening
+    if gain * gain_without_sigmas <= 0:
         return 0.0
-    return min((gain, gain + wider), key=abs)
+    return min((gain, gain_without_sigmas), key=abs)
 
 
 def _changes_to_compare(

@@ -33,8 +33,8 @@ def propagate_to_all(
 ) -> tuple[Track, np.ndarray]:
     """Propagate K motions from the n kept samples, to which they were fitted, to all N samples of a pass.
 
-    Return the motions at all samples, and the derivative (K, n, 3, 6) of their mean rate over these by turn and rate at each kept
-    sample. At kept samples states and covariances stay as fitted. At any other sample the state is a blend of two: the motion
+    Return the motions at all samples, and the derivative (K, n, 3, 6) of their mean rate over all samples by turn and rate at each
+    kept sample. At kept samples states and covariances stay as fitted. At any other sample the state is a blend of two: the motion
     propagated forward from the kept sample before it, and that propagated backward from the kept sample after it.
 
     `model`: of the kept samples. `t_s` (N), s: times of all samples, the first and the last being kept; `momentum` (N, 3): of the
@@ -57,7 +57,7 @@ def propagate_to_all(
     covariance = np.empty((k, n_all, 6, 6))
     attitude[:, of_kept], omega[:, of_kept] = motions.attitude, motions.omega
     covariance[:, of_kept] = motions.covariance
-    # derivative of the sum of all rates by the states at the kept samples; first that of the rates at these samples themselves
+    # derivative of the sum of the rates at all samples by the state at each kept sample, whose own rate is one of them
     sum_by_kept = np.zeros((k, n, 3, 6))
     sum_by_kept[..., RATE] = np.eye(3)
 
@@ -76,7 +76,7 @@ def propagate_to_all(
         carried = by_start @ motions.covariance[:, start] @ np.swapaxes(by_start, -1, -2)
         covariance_there = covariance_there + weight[:, None, None] * carried
         for i in range(n):
-            # the m samples that are reached from kept sample i add the weighted derivatives of their rates
+            # the weighted derivatives of the rates at the m samples that are reached from kept sample i
             from_i = start == i
             of_rate = by_start[:, from_i, RATE]
             sum_by_kept[:, i] += np.einsum("m,kmij->kij", weight[from_i], of_rate)

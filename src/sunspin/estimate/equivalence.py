@@ -439,13 +439,13 @@ def _stays_dark(observed: Observed, second: ColumnChange, m: np.ndarray) -> bool
 
 
 def _inertia_cost(vehicle: Vehicle, m: np.ndarray) -> float:
-    """Return the cost of an inertia M Theta M^T instead of the stated Theta: log evidence by its sigmas; zero without an
-    inertia."""
+    """Return the cost (log evidence) of M Theta M^T instead of the stated inertia Theta: half the sum of the squared changes of the
+    six elements, in sigmas; zero if the file states no inertia."""
     if vehicle.inertia_kg_m2 is None:
         return 0.0
     body = Body.of(vehicle)
     tensor = body.inertia
-    # sigma of each element; exact elements get a small one
+    # (3, 3) sigma of each element; one that is stated exactly gets a small one
     sigma = np.maximum(np.abs(body.errors).max(axis=0, initial=0.0), 1e-6 * np.trace(tensor))
     square = ((m @ tensor @ m.T - tensor) / sigma) ** 2
     return float(square[np.triu_indices(3)].sum()) / 2

@@ -260,15 +260,18 @@ def _posterior_under_shares(
     valid: np.ndarray,
     beyond_fit: float,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return what other sigmas change in a fit: log evidence (c, K), and mean (c, K, g) and covariance (c, K, g, g) of g unknowns.
+    """Compute how a fit of K motions changes if the prior sigmas of g unknowns have another of their possible sizes.
 
-    They are for each of c combinations of the shares of these unknowns, and K motions. `groups`: indices of the unknowns by kind;
-    `precision` (K, g, g): inverse of their covariance in the fit, without a meaning for motions that are not `valid` (K).
+    Return the change of the log evidence (c, K), and mean (c, K, g) and covariance (c, K, g, g) of these unknowns, for each of c
+    combinations of shares: a share is a sigma as part of the largest one. `groups`: indices of the unknowns by kind, as all of a
+    kind have the same share. `precision` (K, g, g): inverse of their covariance in the fit, which has the largest sigmas. Motions
+    that are not `valid` (K) have no covariance and count only with these.
 
     The unknowns u have the mean m and the precision P. If the readings depend on them linearly, a prior with the share f of a sigma
     adds d = 1/f^2 - 1 to the precision of each: P' = P + d, and P' m' = P m. The log evidence changes by (m' P' m' - m P m + log
-    det P - log det P') / 2, less log f for each unknown: the norm of its prior. Torques turn the body far, and the readings are
-    linear only near the fit: a share that allows `beyond_fit` times more than the fitted size has no probability.
+    det P - log det P') / 2, less log f for each unknown, as its prior is normalised. Torques turn the body far, and the
+    readings are linear only near the fit. So a share of a kind in :data:`TORQUES` has no probability if it exceeds `beyond_fit`
+    times the fitted size: the largest |u| of the kind, but at least the smallest share.
     """
     shared = np.concatenate([*groups.values()])
     of_kind = {kind: np.flatnonzero(np.isin(shared, group)) for kind, group in groups.items()}

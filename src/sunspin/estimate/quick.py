@@ -27,28 +27,29 @@ MOTIONS = 8
 def quick_evidence(
     nominal: Model, settings: RatesSettings, budget: Budget, known: Track | None = None
 ) -> float:
-    """Return the log evidence of a pass, up to a constant that depends only on the number of readings.
+    """Return the log evidence of a pass from a quick search, up to a constant that depends only on the number of readings.
 
     It is minus infinity if the model allows no motion. To save time, inertia and gains are held at the values of the vehicle file,
-    the search begins at one pair of samples, and the evidence is that under the better of two strengths of unknown torques.
-    `known`: motions (K) of the pass from which the fits begin; then no search is made.
+    the search begins at one pair of samples, and only two strengths of unknown torques, `RUNGS`, are tried: the larger evidence
+    counts. `known`: motions (K) of the pass from which the fits begin; then no search is made.
     """
-    s = replace(settings.search, more_places=0)
+    s = replace(settings.search, more_places=0)  # begins at one place
     ladder_settings = replace(settings.ladder, rungs=RUNGS)
     log_evidence = np.full(len(RUNGS), -np.inf)
-    # one model for each meaning that the readings may have; the evidence is summed over them
+    # a model for each possible meaning of the readings (`Model.for_search`); their evidence is summed
     for model in nominal.for_search(Noise(s.noise)):
         if known is None:
             try:
-                motions = search(Chain(model, s), pair_starts(model, s), s, budget, 1)
-            except InputError:
+                motions = search(Chain(model, s), pair_starts(model, s), s, budget, places=1)
+            except InputError:  # this meaning allows no motion
                 continue
         else:
             motions = Track.free(known.attitude, known.omega)
         for fitted in ladder(model, motions.take(slice(MOTIONS)), ladder_settings, s, s.noise):
             rung = RUNGS.index(fitted.model.noise.acceleration)
             log_evidence[rung] = np.logaddexp(log_evidence[rung], logsumexp(fitted.log_evidence))
-    # densities of panel readings have a factor 1 / sigma, which the costs leave out; it depends on the vehicle
+    # The density of each panel reading has a factor 1 / sigma, which the costs of fits leave out. The sigmas depend on the vehicle,
+    # so evidence of two vehicles can be compared only with it.
     panels = (term for term in nominal.obs.terms if isinstance(term, Panels))
     return float(log_evidence.max()) - sum(map(sum_of_log_sigmas, panels))
 

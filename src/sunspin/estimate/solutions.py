@@ -30,7 +30,7 @@ LEAST_SHARE = 0.05
 
 @dataclass(frozen=True)
 class Solutions:
-    """K solutions of one pass at all its samples (n), the most probable first; of the unknowns only the errors of the inertia.
+    """K solutions of one pass at all its samples (n); of the unknowns only the errors of the inertia. `listed` sorts them.
 
     `probability` (K); `mean` and `mean_sigma` (K, 3) in rad/s: of the rate averaged over the pass. `residual`: by sensor (K, n), in
     sigmas. `model`: name and probability of the nominal model, or of the most probable one if that is improbable. `noise` (K):
@@ -52,7 +52,8 @@ class Solutions:
 
     @staticmethod
     def joined(parts: Sequence[Solutions]) -> Solutions:
-        """Return all solutions of several objects of one pass as one; `obs`, `model` and `cost_limit` are those of the first."""
+        """Return the solutions of all parts of one pass in one, not sorted by probability. `obs`, `model` and `cost_limit` are
+        those of the first part. No part has `without_periods`."""
         arrays = {name: np.concatenate([getattr(part, name) for part in parts]) for name in ARRAYS}
         residual = {
             sensor: np.concatenate([part.residual[sensor] for part in parts])

@@ -307,22 +307,24 @@ def aliases(motions: Track, model: Model, s: AlternativeSettings) -> Track:
 
 
 def aliases_about_two_axes(motions: Track, model: Model, s: AlternativeSettings) -> Track:
-    """Return the most probable motion, the first of K, with whole revolutions more and fewer about L and about an axis of the body.
+    """Return the most probable of K motions, the first, with whole revolutions more and fewer about L and about a body axis.
 
-    The result is empty if samples are uneven, a gyro excludes aliases, or another sensor than that of the Sun is read. A body with
-    two like moments precesses about its angular momentum L and spins about its third axis, both at constant rates. Whole
-    revolutions more of each between even samples show the same attitudes. The new motion must keep L fixed in space: that hardly
-    ever holds for a known inertia, and gives another inertia for an unknown one.
+    A body with two like moments of inertia precesses about its angular momentum L and spins about its third axis, both at constant
+    rates. If samples are evenly spaced, whole revolutions more of each between two samples show the same attitudes. The new motion
+    obeys the equations of motion only if its own L stays fixed in space. That hardly ever holds for a known inertia. If the inertia
+    is unknown, each new motion gets another one, with which it may hold. At most eight motions are returned; revolutions about L
+    alone are left to :func:`aliases`. The result is empty if samples are uneven, a gyro excludes aliases, or a sensor other than
+    those of the Sun is read.
     """
     step = _alias_step(model, s)
     if step is None or not len(motions) or not model.obs.only_sun:
         return motions.take(slice(0))
     best = motions.take(slice(1))
     inertia, size, along = (part[0] for part in _momenta(model, best.u, best.omega))
-    # the spin axis is the principal axis with which L makes the most constant angle
+    # the principal axis whose angle to L varies least: the spin axis keeps that angle
     principal = np.linalg.eigh(inertia)[1]
     spin_axis = principal[:, np.argmin((along @ principal).std(axis=0))]
-    cosine = float((along @ spin_axis).mean())  # of that angle
+    cosine = float((along @ spin_axis).mean())  # of the angle between L and the spin axis
 
     # every pair of numbers of revolutions, up to six either way about each axis
     most = min(int(2 * model.rate_max / step), 6)
@@ -332,19 +334,20 @@ def aliases_about_two_axes(motions: Track, model: Model, s: AlternativeSettings)
     slow = np.linalg.norm(changed, axis=2).mean(axis=1) < model.rate_max
     u = np.repeat(best.u, len(changed), axis=0)
     if model.body.sphere and len(model.body.errors):
-        # |L| I^-1 as in `aliases`; about the spin axis the rate also grows by that of the spin, if all of L were along it
+        # The rate is A l, with l the direction of L and A = |L| I^-1. Revolutions about L and the spin axis e add a l + b e. So
+        # A grows by a 1 + (b / cosine) e e^T, as e e^T l = cosine e. The new inertia is proportional to the inverse of A.
         rates = size.mean() * np.linalg.inv(inertia) + about_L[:, None, None] * np.eye(3)
-        # else L is nearly normal to the axis, whose moment then cannot be computed
+        # if L is nearly normal to the spin axis, b does not determine the moment about it
         if abs(cosine) > 0.2:
             spin = np.outer(spin_axis, spin_axis)
             rates = rates + (about_axis / cosine)[:, None, None] * spin
         u[:, model.inertia_slice] = _errors_of_body(model.body, rates, u[:, model.inertia_slice])
-    # Mean angle between L of each new motion, for its inertia, and L of the best one in the same attitudes; L may be reversed.
-    # Revolutions about L alone are left to `aliases`.
+    # Mean angle between the L of each new motion, under its inertia, and that of the old one, both in body axes in the same
+    # attitudes. An L of the opposite sign is fixed in space too.
     cosine_of_L = (_momenta(model, u, changed)[2] * along).sum(axis=2)
     off = np.arccos(np.clip(np.abs(cosine_of_L), 0.0, 1.0)).mean(axis=1)
     tried = np.flatnonzero(slow & (about_axis != 0) & (off < s.momentum_off_rad))
-    # eight at most, first those whose inertia is nearest to what is known of it; a known inertia is the same for all
+    # first those whose inertia is nearest to the prior's, in tenths of a sigma, then those with the smallest angle
     sigmas = np.linalg.norm(u[tried][:, model.inertia_slice], axis=1).round(1)
     which = tried[np.lexsort((off[tried], sigmas))[:8]]
     return Track(np.repeat(best.attitude, len(which), axis=0), changed[which], u[which])

@@ -178,10 +178,11 @@ def momentum_of_each(vehicle: Vehicle, telemetry: xr.Dataset, name: str) -> np.n
 def reversed_momenta(
     vehicle: Vehicle, of_wheels: np.ndarray, inertia: np.ndarray, t_s: np.ndarray
 ) -> dict[tuple[int, ...], np.ndarray]:
-    """Return numbers of reversed wheels -> total momentum (n, 3) of all wheels: with each wheel reversed, and with all.
+    """Return indices of reversed wheels -> total momentum (n, 3) of all wheels: with each wheel reversed, and with all.
 
     Wheels are left out if they hardly turn the rate of the body in the whole file, or turn it by more than :data:`WRAPPED_RAD`
-    between two samples. `of_wheels` (n_wheel, n, 3): momenta with the signs of the file, and `inertia` (3, 3), in mean moments.
+    between two samples. `of_wheels` (n_wheel, n, 3), rad/s: momenta with the signs of the file, body axes, and `inertia` (3, 3):
+    both over the mean moment of inertia.
     """
     momenta: dict[tuple[int, ...], np.ndarray] = {}
     if not of_wheels.any():
@@ -200,10 +201,10 @@ def search_reversed(
 ) -> tuple[dict[tuple[int, ...], np.ndarray], Iterable[float]]:
     """Begin a quick search of the longest pass for each choice of reversed wheels; return their momenta and log evidence.
 
-    The momenta map the numbers of the reversed wheels to the total momentum (n, 3) of all wheels at all samples of the file. The
-    log evidence (:func:`sunspin.estimate.quick.quick_evidence`) is an iterable in the same order. A pool of processes begins all
-    searches now; without one each is made when its value is read. `name`: of the model of the wheels (:func:`wheel_models`), from
-    which their speeds are taken; `nominal`: the nominal model of the whole file.
+    The momenta are those of :func:`reversed_momenta`, at all n samples of the file. The log evidence
+    (:func:`sunspin.estimate.quick.quick_evidence`) is in the same order. With a pool of processes all searches begin now; without
+    one each is made when its evidence is read. `name`: model of the wheels (a key of :func:`wheel_models`) that gives their speeds;
+    `nominal`: nominal model of the whole file.
     """
     vehicle = assessment.vehicle
     of_wheels = momentum_of_each(vehicle, assessment.telemetry, name)

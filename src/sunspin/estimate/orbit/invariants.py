@@ -186,15 +186,17 @@ def fit_at_offsets(
 
 
 def eclipse_cost(light: np.ndarray, lit: np.ndarray) -> np.ndarray:
-    """Return minus the log likelihood (K) of light that was seen (n; 1, 0 or NaN) if a part `lit` (K, n) of the Sun's disc is up.
+    """Return minus the log likelihood (K) of sunlit and dark samples, at each of K along-track offsets.
 
-    In the shadow a sample is dark but for the share :data:`SEEN_IN_SHADOW`. In the Sun a sample is dark if no panel faces the Sun
-    or a panel is idle: with the probability that is the share of dark samples among those in the Sun, at each offset.
+    `light` (n): 1 if a sample shows the Sun, 0 if it is dark, NaN if unknown. `lit` (K, n): predicted visible part of the Sun's
+    disc, taken as the probability that the sample is in the Sun. In the shadow a sample is dark, except for the share
+    :data:`SEEN_IN_SHADOW`. In the Sun it may be dark too, if no panel faces the Sun or a panel is idle. The probability of that is
+    the share of dark samples among those in the Sun, at each offset.
     """
     known = np.isfinite(light)
     dark, sunny = light[known] == 0, lit[:, known]
-    # kept from 0 and 1, so that no sample is impossible
     dark_in_sun = (sunny * dark).sum(axis=1) / np.maximum(sunny.sum(axis=1), 1)
+    # at least half a sample of all, at most the probability of darkness in the shadow: so no sample is impossible
     dark_in_sun = np.clip(dark_in_sun, 0.5 / max(len(dark), 1), 1 - SEEN_IN_SHADOW)[:, None]
     probability_dark = sunny * dark_in_sun + (1 - sunny) * (1 - SEEN_IN_SHADOW)
     log_likelihood = np.where(dark, np.log(probability_dark), np.log1p(-probability_dark))

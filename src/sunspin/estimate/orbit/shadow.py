@@ -181,10 +181,11 @@ def _sunlit_by_panels(assessment: Assessment) -> tuple[np.ndarray, np.ndarray]:
 def _in_full_shadow(
     orbit: Orbit, t_s: np.ndarray, offsets_s: np.ndarray, sigmas: float
 ) -> np.ndarray:
-    """Return which samples (K, n) surely are in the full shadow, for each of K along-track offsets.
+    """Return which samples are surely in the full shadow, as booleans (K, n) for each of K along-track offsets.
 
     `t_s` (n): times of the samples; `offsets_s` (K), s: added to the offset of the orbit. The offset also drifts, at an unknown
-    rate: a sample counts only if it is in the shadow for every drift within `sigmas` standard deviations of its prior.
+    rate: a sample counts only if it is in the shadow for every drift within `sigmas` standard deviations of its prior. The full
+    shadow is that of an Earth whose radius is smaller by `DEPTH_M`.
     """
     when = orbit.instants(t_s)
     sun, ahead_s = sun_J2000_m(when), orbit.ahead_s(when) + offsets_s[:, None]
@@ -193,11 +194,11 @@ def _in_full_shadow(
     drift_s = np.minimum(drift_s, orbit.elements[0].period_s / 2)
     steps = int(np.ceil(drift_s.max() / DRIFT_STEP_S)) if drift_s.max() > 1.0 else 0
     dark = np.ones(ahead_s.shape, dtype=bool)
-    # parts of the largest drift, from -1 to 1
-    for share in np.linspace(-1, 1, 2 * steps + 1) if steps else [0.0]:
-        position, _ = orbit.states(when, ahead_s + share * drift_s)
-        # An Earth whose radius is smaller by DEPTH_M has the same shadow, scaled down. As `sunlit_fraction` knows only the whole
-        # Earth, the position is scaled up by the same factor.
-        outward = position * EQUATOR_M / (EQUATOR_M - DEPTH_M)
-        dark &= sunlit_fraction(outward, np.broadcast_to(sun, position.shape)) == 0
+    # fractions of the largest drift, from -1 to 1
+    for fraction in np.linspace(-1, 1, 2 * steps + 1) if steps else [0.0]:
+        position, _ = orbit.states(when, ahead_s + fraction * drift_s)
+        # `sunlit_fraction` knows only the whole Earth. As the Sun is far away, the smaller Earth has the same shadow, scaled down.
+        # So the position is scaled up by the ratio of the radii.
+        enlarged = position * EQUATOR_M / (EQUATOR_M - DEPTH_M)
+        dark &= sunlit_fraction(enlarged, np.broadcast_to(sun, position.shape)) == 0
     return dark

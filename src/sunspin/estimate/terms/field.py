@@ -454,15 +454,17 @@ def without_outliers(fields: np.ndarray) -> np.ndarray:
 
 
 def _without_rotation(errors: np.ndarray, fields: np.ndarray) -> np.ndarray:
-    """Return e errors (n, e, 3) of fields b (n, 3) without the part r x b that a rotation r of all fields makes.
+    """Return e errors (n, e, 3) of field readings without the part that looks like one small rotation of all readings.
 
-    The rotation vector r of each error follows from least squares: (sum of |b|^2 I - b b^T) r = sum of b x error.
+    `fields` (n, 3): readings b in body axes, NaN if not read; these keep their errors. For each error the rotation vector r
+    minimises the sum over samples of |error - r x b|^2: (sum of |b|^2 I - b b^T) r = sum of b x error. Then r x b is subtracted.
     """
     was_read = np.isfinite(fields).all(axis=1)
     field_B, error = fields[was_read], errors[was_read]
-    normal = (field_B**2).sum() * np.eye(3) - field_B.T @ field_B
-    moment = np.cross(field_B[:, None], error).sum(axis=0)
-    rotation = moment @ np.linalg.pinv(normal, rcond=1e-6, hermitian=True)
+    matrix = (field_B**2).sum() * np.eye(3) - field_B.T @ field_B
+    right_side = np.cross(field_B[:, None], error).sum(axis=0)  # (e, 3)
+    # no rotation about the field if all readings are parallel
+    rotation = right_side @ np.linalg.pinv(matrix, rcond=1e-6, hermitian=True)
     remaining = errors.copy()
     remaining[was_read] -= np.cross(rotation, field_B[:, None])
     return remaining
