@@ -48,8 +48,7 @@ def quick_evidence(
         for fitted in ladder(model, motions.take(slice(MOTIONS)), ladder_settings, s, s.noise):
             rung = RUNGS.index(fitted.model.noise.acceleration)
             log_evidence[rung] = np.logaddexp(log_evidence[rung], logsumexp(fitted.log_evidence))
-    # The density of each panel reading has a factor 1 / sigma, which the costs of fits leave out. The sigmas depend on the vehicle,
-    # so evidence of two vehicles can be compared only with it.
+    # densities of panel readings have a factor 1 / sigma, which costs leave out; it must count, as sigmas depend on the vehicle
     panels = (term for term in nominal.obs.terms if isinstance(term, Panels))
     return float(log_evidence.max()) - sum(map(sum_of_log_sigmas, panels))
 
