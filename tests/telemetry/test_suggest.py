@@ -6,6 +6,7 @@ import csv
 import io
 import json
 import re
+from datetime import datetime
 from importlib import resources
 
 import numpy as np
@@ -183,6 +184,7 @@ def test_temperatures_below_zero_are_no_angles(folder):
         ("17672256{:02d}", ['time_format = "unix"']),
         ("17672256{:02d}000", ['time_format = "unix"', "time_scale_s = 0.001"]),
         ("1{:02d}", ['time_format = "elapsed"', "REPLACE by the UTC of time zero"]),
+        ("61071.000{:02d}", ['epoch_utc = "1858-11-17T00:00:00Z"', "time_scale_s = 86400"]),
         ("2026/01/01 00:00:{:02d} UTC", ['time_format = "utc"']),
         ("46023.000{:02d}", ['epoch_utc = "1899-12-30T00:00:00Z"', "time_scale_s = 86400"]),
         ("31/01/2026 00:00:{:02d}", ['time_format = "utc"', "day_first = true"]),
@@ -254,6 +256,27 @@ def test_columns_of_other_readings_of_a_panel_are_no_currents(name, folder):
     assert "no columns look like currents or powers" in str(done.exception)
 
 
+@pytest.mark.parametrize(
+    ("header", "what", "do"),
+    [
+        ("time,iXp [cnt; mA = 0.12*N],iXm [cnt; mA = 0.12*N]", "its unit is not known", "scale"),
+        ("JD,iXp,iXm", "column 'JD' may hold days from long before our era", "MJD"),
+    ],
+)
+def test_units_and_days_that_are_not_known_are_named(header, what, do, folder):
+    time = "2461071.5" if header[0] == "J" else "2026-01-01"
+    (folder / "export.csv").write_text(f"{header}\n{time},20,30\n", "utf-8")
+    done = CliRunner().invoke(cli, ["init", "mine", "--from", "export.csv"])
+    assert what in str(done.exception) and do in str(done.exception)
+
+
+def test_a_counter_of_milliseconds_since_the_start_is_no_unix_time(folder):
+    rows = "".join(f"{2**32 - 90_000 + 10_000 * k},{100 + k},{200 - k}\n" for k in range(9))
+    (folder / "export.csv").write_text(f"uptime_ms,iXp,iXm\n{rows}", "utf-8")
+    printed = check_is_refused("vehicle.toml", "export.csv")
+    assert 'time_format = "elapsed"' in printed and "time_scale_s = 0.001" in printed
+
+
 @pytest.mark.parametrize("cell", ["412 mA", "0x1f", "'412'"])
 def test_columns_of_panels_without_numbers_are_named_with_a_cell(cell, folder):
     (folder / "export.csv").write_text(f"time,iXp,iXm\n2026-01-01,{cell},{cell}\n", "utf-8")
@@ -284,6 +307,51 @@ def test_a_date_and_a_time_of_day_in_two_columns_and_a_row_of_units_are_read(dat
     assert "# not read" not in (folder / "mine" / "vehicle.toml").read_text("utf-8")
     np.testing.assert_allclose(data["time"], np.arange(20))
     np.testing.assert_allclose(data["current_A"].sel(panel="+X"), 0.3 + 0.001 * np.arange(20))
+
+
+@pytest.mark.parametrize(
+    ("names", "cells"),
+    [
+        ("Date,Time,ms", "31.01.2026,09:15:{s:02d},{ms}"),
+        ("UTC,Milliseconds", "2026-01-31T09:15:{s:02d}Z,{ms}"),
+        ("Time (s),Time (µs)", "{unix},{ms}000"),
+        ("timestamp,fraction", "2026-01-31 09:15:{s:02d},0.{ms:03d}"),
+        ("obc_time_sec,obc_time_subsec", "{unix},{sub}"),
+        ("gps_week,TOW_ms", "2403,{tow}{ms:03d}"),
+        ("mjd", "{mjd:.9f}"),
+    ],
+)
+def test_times_in_several_columns_and_other_counts_are_read_to_the_millisecond(
+    names, cells, folder
+):
+    zero, lines = 1769850900, []  # 2026-01-31T09:15:00Z
+    milli = [(370 * k + 991) % 1000 for k in range(20)]
+    for k, ms in enumerate(milli):
+        counts = {"s": k, "ms": ms, "unix": zero + k, "sub": int(65.536 * ms)}
+        counts |= {"tow": (zero + k - 315964800 + 18) % 604800}
+        counts |= {"mjd": (zero + k + ms / 1000) / 86400 + 40587}
+        lines.append(f"{cells.format(**counts)},{300 + k},{200 - k},5")
+    text = "\n".join([f"{names},iXp [mA],iXm [mA],latency_ms", *lines])
+    (folder / "export.csv").write_text(text, "utf-8")
+    done = CliRunner().invoke(cli, ["init", "mine", "--from", "export.csv"])
+    assert done.exit_code == 0, done.exception
+    data = ss.read_telemetry(
+        folder / "export.csv", ss.load_vehicle(folder / "mine" / "vehicle.toml")
+    )
+    epoch = datetime.fromisoformat(data.attrs["epoch_utc"]).timestamp()
+    expected = zero + np.arange(20) + np.array(milli) / 1000
+    np.testing.assert_allclose(epoch + data["time"].values, expected, atol=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("unit", "scale"), [("[10 uA]", 1e-5), ("(x0.122 mA)", 1.22e-4), ("[0.5 mA/LSB]", 5e-4)]
+)
+def test_a_multiple_in_the_unit_of_a_column_is_the_scale(unit, scale, folder):
+    text = f"time,iXp_raw {unit},iXm_raw {unit}\n2026-01-01,2000,300\n"
+    (folder / "export.csv").write_text(text, "utf-8")
+    assert CliRunner().invoke(cli, ["init", "mine", "--from", "export.csv"]).exit_code == 0
+    form = ss.load_vehicle(folder / "mine" / "vehicle.toml").telemetry
+    assert (form.quantity, form.scale) == ("current_A", pytest.approx(scale))
 
 
 def export_with_sensors() -> str:

@@ -24,7 +24,7 @@ import numpy as np
 import pandas as pd
 
 from sunspin.base.errors import TelemetryError
-from sunspin.base.untrusted import decode_text, plain_number, read_bytes
+from sunspin.base.untrusted import decode_text, decode_western, plain_number, read_bytes
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -55,6 +55,8 @@ MAX_TITLE_LINES = 50
 SEPARATOR = re.compile(r"sep=(,|;|\t|\\t|\|)", re.IGNORECASE)
 """A first line that names the delimiter for spreadsheet programs."""
 
+WESTERN_NOTE = "the file is not UTF-8 text: read in the encoding of Western Windows (cp1252)"
+
 MAX_DEPTH = 8
 """Nesting of JSON objects; more than any telemetry has."""
 
@@ -70,7 +72,7 @@ class TextTable(NamedTuple):
 
     `comments` are the texts after `#`; `where` names the file in messages; `data` is the Dataset of a NetCDF file. `counted` says
     what the number of a row counts: each "line" of a text, or each "row" of a file without lines or of a JSON list. `units` has the
-    text below the name of each column, if there is a row of units.
+    text below the name of each column, if there is a row of units. `notes` are sentences on how the file was read.
     """
 
     cells: pd.DataFrame
@@ -80,6 +82,7 @@ class TextTable(NamedTuple):
     data: xr.Dataset | None = None
     counted: str = "line"
     units: Mapping[str, str] = MappingProxyType({})
+    notes: tuple[str, ...] = ()
 
     @property
     def header(self) -> list[str]:
@@ -130,7 +133,7 @@ def read_table(path: Path) -> TextTable:
     """Read a table; its first bytes, not its name, decide the file type. Raises `TelemetryError`."""
     where = str(path)
     content = read_bytes(path, MAX_FILE_BYTES, "telemetry file", TelemetryError, "check the path")
-    data, comments, counted, units = None, [], "row", {}
+    data, comments, counted, units, notes = None, [], "row", {}, ()
     if content.startswith(b"PAR1"):
         cells = _text_cells(_read_parquet(content, where))
     elif content.startswith(b"\x89HDF\r\n\x1a\n"):
@@ -140,7 +143,12 @@ def read_table(path: Path) -> TextTable:
         do = "convert it to NetCDF-4 (nccopy -k nc4)"
         raise TelemetryError("this is NetCDF of version 3", do=do, where=where)
     else:
-        text = decode_text(content, where, TelemetryError, "save it as CSV in UTF-8")
+        try:
+            text = decode_text(content, where, TelemetryError, "save it as CSV in UTF-8")
+        except TelemetryError:
+            if (western := decode_western(content)) is None:
+                raise
+            text, notes = western, (WESTERN_NOTE,)
         if "\0" in text or not text.strip():
             what = "the file holds binary data" if text.strip() else "the file is empty"
             do = "give a CSV in UTF-8 with a header and one row per sample"
@@ -153,7 +161,7 @@ def read_table(path: Path) -> TextTable:
     if cells.empty:
         raise TelemetryError("the file holds no samples", where=where)
     return TextTable(
-        cells, comments, hashlib.sha256(content).hexdigest(), where, data, counted, units
+        cells, comments, hashlib.sha256(content).hexdigest(), where, data, counted, units, notes
     )
 
 

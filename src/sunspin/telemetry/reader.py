@@ -21,6 +21,7 @@ from sunspin.base.errors import TelemetryError
 from sunspin.base.provenance import provenance
 from sunspin.base.tables import TextTable, read_table
 from sunspin.telemetry.dates import rewrite_dates
+from sunspin.telemetry.fractions import add_fractions, unread_fractions
 from sunspin.telemetry.layout import join_packets, pivot_series
 from sunspin.telemetry.noise import lowest_reading
 from sunspin.telemetry.sensors import ABSURD, read_columns, read_sensors, sensor_columns
@@ -120,7 +121,7 @@ def read_telemetry(path: Any, vehicle: Vehicle, *, columns: Sequence[str] = ()) 
         raise TelemetryError(what, do=do, where=str(path))
     if form.date_column is not None:
         require_column(table, form.date_column, "the date")
-    table = rewrite_dates(form, table)
+    table = add_fractions(form, rewrite_dates(form, table))
     table, layout_notes = pivot_series(table, form.time_column, columns_of_readings(vehicle))
     header = set(table.header)
     sensors = read_sensors(vehicle, table)
@@ -129,6 +130,7 @@ def read_telemetry(path: Any, vehicle: Vehicle, *, columns: Sequence[str] = ()) 
         require_column(table, name, "a column that is asked for")
     _require_clock(form, table)
     unused = _unused_columns(vehicle, table, [*panel_columns, *columns])
+    layout_notes += table.notes + unread_fractions(form, table, unused)
     reading_columns = header - {*_clock_columns(form), *unused}
     times, counts = read_times(form, table, reading_columns), {}
     if form.bad_rows != "refuse":
@@ -360,7 +362,7 @@ def _correct_for_temperature(
 
 def _clock_columns(form: TelemetryForm) -> list[str]:
     """Return the names of the columns that contain times."""
-    names = (form.time_column, form.week_column, form.receive_time_column)
+    names = (form.time_column, form.fraction_column, form.week_column, form.receive_time_column)
     return [name for name in names if name is not None]
 
 
@@ -369,6 +371,8 @@ def _require_clock(form: TelemetryForm, table: TextTable) -> None:
     require_column(table, form.time_column, "the time")
     if form.week_column is not None:
         require_column(table, form.week_column, "the GPS week")
+    if form.fraction_column is not None:
+        require_column(table, form.fraction_column, "the fraction of a second")
     if form.receive_time_column is not None:
         require_column(table, form.receive_time_column, "the time of reception")
 

@@ -17,9 +17,11 @@ import numpy as np
 from sunspin.base.tables import DECIMAL_COMMA, THOUSANDS, TextTable
 from sunspin.base.untrusted import plain_number
 from sunspin.telemetry.dates import TIME_OF_DAY, find_day_first, has_no_order, rewrite_date
+from sunspin.telemetry.fractions import UNITS_S, find_fractions
 from sunspin.telemetry.layout import pivot_series
 from sunspin.telemetry.sensors import read_numbers
 from sunspin.telemetry.times import parse_utc
+from sunspin.telemetry.timescales import WEEK_S, WEEKS_TO_ROLLOVER
 
 PLUS = ("+", "p", "pos", "plus", "positive")
 """Words for the plus side of an axis; the other signs of `FACE` are those of its minus side."""
@@ -44,6 +46,11 @@ UNITS = {
     "%": ("power_W", 0.01),
 }
 """Unit in small letters -> quantity, and its size in A or W."""
+
+MULTIPLE = re.compile(
+    r"[x*×]? ?(?P<factor>\d+(\.\d+)?(e-?\d+)?) ?[x*×]? ?(?P<unit>[munµμ]?[aw])( ?/ ?(lsb|counts?|bit|dn))?"
+)
+"""A unit that is a multiple of another, in small letters, such as 10 uA or x0.122 mA."""
 
 UNIT_WORD = re.compile(r"(?P<prefix>milli|micro|)(?:(?P<A>amp(?:[eè]re)?s?)|(?P<W>watts?))")
 """A unit of currents or powers as a word, in small letters."""
@@ -82,7 +89,14 @@ MILLI = 30.0
 """A reading without a unit above this is in thousandths: no single panel gives 30 A or 30 W."""
 
 TIME_WORDS = ("time", "timestamp", "date", "datetime", "utc", "unix", "epoch", "uptime", "ts", "t")
+TIME_WORDS += ("met", "obt", "sclk", "mjd")
 """Words in the name of a time column, the likeliest first."""
+
+DAY_COUNTS = ("jd", "julian", "datenum")
+"""Words in the name of a column of days from an instant before the calendar of `epoch_utc`."""
+
+WEEK_WORDS, SECONDS_OF_WEEK_WORDS = ("week", "weeks", "wn", "gpsweek"), ("tow", "sow", "itow")
+"""Words in the names of the columns of GPS weeks and of seconds of the week."""
 
 RECEIVED_WORDS = ("received", "receive", "recv", "reception", "rx", "ert", "ground", "downlink")
 """Words in the name of a column of times of reception, which are later than those of the samples."""
@@ -110,8 +124,11 @@ SENSOR_UNITS = {
 FIRST_UNIX_S, LAST_UNIX_S = 9e8, 5e9
 """Unix times of satellites with such telemetry, s: from 1998 to 2128."""
 
-FIRST_DAY, LAST_DAY, MOST_DAYS = 35_000.0, 62_000.0, 0.05
-"""Days of a spreadsheet from 1995 to 2069, and the largest interval of samples: as seconds it would be shorter than any."""
+FIRST_DAY, LAST_DAY, MOST_DAYS = 35_000.0, 50_000.0, 0.05
+"""Days of a spreadsheet from 1995 to 2036, and the largest interval of samples: as seconds it would be shorter than any."""
+
+LAST_MJD = 65_000.0
+"""Days of the Modified Julian Date from 1995 to 2036 follow up to here."""
 
 READ_SHARE = 0.5
 """Share of the cells that must be dates or numbers for a column to be taken as one of times or readings."""
@@ -138,11 +155,11 @@ class AxisColumns(NamedTuple):
 
 
 class _Times(NamedTuple):
-    """The column of times, that of dates if it has times of day (else None), and lines of the section on how to read them."""
+    """The column of times, lines of the section on how to read them, and further columns that these lines name."""
 
     column: str
-    date_column: str | None
     lines: list[str]
+    others: tuple[str, ...] = ()
 
 
 class _Group(NamedTuple):
@@ -177,13 +194,10 @@ def suggest_section(table: TextTable, panels: dict[str, str] | None = None) -> S
     table = pivot_series(table, time.column, set()).table
     if (group := _best_group(table)) is None:
         return None
-    date_columns = [] if time.date_column is None else [time.date_column]
-    date_lines = [_entry(f"date_column = {toml_string(name)}", "") for name in date_columns]
     lines = [
         "[telemetry]",
         _entry(f'quantity = "{group.quantity}"', ""),
         _entry(f"time_column = {toml_string(time.column)}", ""),
-        *date_lines,
         *time.lines,
         _entry(f"scale = {group.scale:g}", group.reason),
         _entry('bad_rows = "flag"', "sort rows, merge repeats, name what cannot be used"),
@@ -194,7 +208,7 @@ def suggest_section(table: TextTable, panels: dict[str, str] | None = None) -> S
             if panels is None or face in panels
         ),
     ]
-    used = {time.column, *date_columns, *group.columns.values()}
+    used = {time.column, *time.others, *group.columns.values()}
     if others := [name for name in table.header if name not in used]:
         shown = ", ".join(map(toml_string, others[:12])) + (", ..." * (len(others) > 12))
         lines.append(f"# not read: {shown}")
@@ -221,7 +235,16 @@ def explain_missing(table: TextTable) -> tuple[str, str]:
         ):
             what = f"column {column!r} may be of a panel, but its cells are not numbers, such as {cell[:30]!r}"
             return what, "write plain decimals, such as -1.5e-3"
+    for column in table.header if has_times else []:
+        name, unit = _unit_of(table, column)
+        has_formula = re.search(r"\d|count|lsb", unit) is not None
+        if has_formula and FACE.search(_words(name)) and _is_numeric(table, column):
+            what = f"column {column[:60]!r} may be of a panel, but its unit is not known"
+            return what, "write a [telemetry] section by hand, with quantity, scale and zero"
     for column in [] if has_times else table.header:
+        if set(re.findall(r"[a-z]+", _words(column))) & {*DAY_COUNTS}:
+            what = f"column {column!r} may hold days from long before our era, which are not read"
+            return what, "write dates such as 2026-01-31T23:59:59Z, or days as MJD: JD - 2400000.5"
         is_named = bool(set(re.findall(r"[a-z]+", _words(column))) & set(TIME_WORDS))
         if is_named and (cell := _unreadable_cell(table, column)):
             what = (
@@ -395,6 +418,9 @@ def _judge_quantity(
     """Return quantity, size of the unit and the reason for a group; an empty quantity if it is neither current nor power."""
     if unit in UNITS:
         return *UNITS[unit], f"{unit.replace('w', 'W').replace('a', 'A')}, by the header"
+    if multiple := MULTIPLE.fullmatch(unit):
+        quantity, size = UNITS[multiple["unit"]]
+        return quantity, float(multiple["factor"]) * size, f"{unit}, by the header; check this"
     words, in_counts = set(re.findall(r"[a-z]+", template)), unit in COUNT_WORDS
     angles = None if in_counts else _judge_angles(table, words, unit, columns)
     if angles is not None:
@@ -431,7 +457,7 @@ def _find_times(table: TextTable) -> _Times | None:
         words = set(re.findall(r"[a-z]+", _words(column)))
         by_name = [k for k, word in enumerate(TIME_WORDS) if word in words]
         cells = table.cells[column].tolist()
-        lines = _describe_times(cells, bool(by_name))
+        lines = _describe_times(cells, words)
         if lines is not None:
             is_date = lines[0].startswith('time_format = "utc"')
             scale = next((scale for scale in ("gps", "tai") if scale in words), "")
@@ -445,12 +471,48 @@ def _find_times(table: TextTable) -> _Times | None:
             rank = 2 - is_date * (2 if any(":" in cell or "T" in cell for cell in cells) else 1)
             is_other = bool(scale) or bool(words & set(RECEIVED_WORDS))
             ranked.append((rank, is_other, min(by_name, default=99), place, column, lines))
+    rank, *_, column, lines = min(ranked, default=(3, "", []))
+    if (not lines or "elapsed" in lines[0]) and (gps := _gps_weeks(table)) is not None:
+        return gps
     if not ranked:
         return None
-    rank, *_, column, lines = min(ranked)
+    others: tuple[str, ...] = ()
     if rank == 1 and (clock := _clock_column(table)) is not None:
-        return _Times(clock, column, lines)
-    return _Times(column, None, lines)
+        lines = [_entry(f"date_column = {toml_string(column)}", ""), *lines]
+        column, others = clock, (column,)
+    scaled = any("time_scale_s" in line for line in lines)
+    if not scaled and (fractions := find_fractions(table, column)) is not None:
+        how = "by the name of the column" if fractions.by_name else "check this: by the size"
+        lines = [
+            *lines,
+            _entry(f"fraction_column = {toml_string(fractions.column)}", "fractions of a second"),
+            _entry(f"fraction_unit_s = {fractions.unit_s:.9g}", how),
+        ]
+        others = (*others, fractions.column)
+    return _Times(column, lines, others)
+
+
+def _gps_weeks(table: TextTable) -> _Times | None:
+    """Return the columns of GPS weeks and of seconds of the week by their names; None if one of them is missing."""
+    found = {}
+    for column in table.header:
+        words = set(re.findall(r"[a-z]+", _words(column)))
+        is_seconds = words & {*SECONDS_OF_WEEK_WORDS} or words >= {"of", "week"}
+        kind = "seconds" if is_seconds else "week" if words & {*WEEK_WORDS} else ""
+        if kind and _is_numeric(table, column):
+            found.setdefault(kind, column)
+    if len(found) < 2:
+        return None
+    weeks, seconds = (read_numbers(table, [found[kind]])[:, 0] for kind in ("week", "seconds"))
+    lines = [
+        _entry('time_format = "gps"', "by the names of the columns"),
+        _entry(f"week_column = {toml_string(found['week'])}", ""),
+    ]
+    if np.nanmax(seconds, initial=0.0) > WEEK_S:
+        lines.append(_entry("time_scale_s = 0.001", "ms, by the size"))
+    if np.nanmax(weeks, initial=0.0) < WEEKS_TO_ROLLOVER:
+        lines.append(_entry("gps_rollovers = 2", "check this: how often the weeks began again"))
+    return _Times(found["seconds"], lines, (found["week"],))
 
 
 def _clock_column(table: TextTable) -> str | None:
@@ -466,8 +528,8 @@ def _clock_column(table: TextTable) -> str | None:
     return None
 
 
-def _describe_times(cells: list[str], is_named: bool) -> list[str] | None:
-    """Return the lines for a column of times; None if the cells are no times. `is_named`: the column's name says that they are."""
+def _describe_times(cells: list[str], words: set[str]) -> list[str] | None:
+    """Return the lines for a column of times; None if the cells are no times. `words`: those of the column's name."""
     filled = [cell.strip() for cell in cells if cell.strip()]
     if not filled:
         return None
@@ -484,22 +546,31 @@ def _describe_times(cells: list[str], is_named: bool) -> list[str] | None:
         return lines
     numbers = np.array([plain_number(cell) for cell in filled])
     known = numbers[np.isfinite(numbers)]
-    if not is_named or len(known) < READ_SHARE * len(filled):
+    if not words & {*TIME_WORDS} or len(known) < READ_SHARE * len(filled):
         return None
     typical = float(np.median(known))
-    for scale, unit in ((1.0, "s"), (1e-3, "ms"), (1e-6, "us"), (1e-9, "ns")):
-        if FIRST_UNIX_S < typical * scale < LAST_UNIX_S:
-            scaled = [] if scale == 1 else [_entry(f"time_scale_s = {scale:g}", unit)]
-            return [_entry('time_format = "unix"', f"{unit} since 1970"), *scaled]
     steps = np.abs(np.diff(known))
-    if FIRST_DAY < typical < LAST_DAY and np.any(steps) and np.median(steps[steps > 0]) < MOST_DAYS:
+    in_days = np.any(steps) and np.median(steps[steps > 0]) < MOST_DAYS
+    is_mjd = "mjd" in words or (LAST_DAY <= typical < LAST_MJD and in_days)
+    if is_mjd or (FIRST_DAY < typical < LAST_DAY and in_days):
+        count, zero = "days since 1899-12-30, as in spreadsheets", "1899-12-30"
+        if is_mjd:
+            count, zero = "days of the Modified Julian Date", "1858-11-17"
         return [
-            _entry('time_format = "elapsed"', "days since 1899-12-30, as in spreadsheets"),
-            _entry('epoch_utc = "1899-12-30T00:00:00Z"', "check this: or local time"),
+            _entry('time_format = "elapsed"', count),
+            _entry(f'epoch_utc = "{zero}T00:00:00Z"', "check this: or local time"),
             _entry("time_scale_s = 86400", "days"),
             _entry("counts_leap_seconds = false", ""),
         ]
+    named_s = next((UNITS_S[word] for word in sorted(words) if word in UNITS_S), None)
+    units = {1.0: "s", 1e-3: "ms", 1e-6: "us", 1e-9: "ns"}
+    for scale in units if named_s is None else (named_s,):
+        if FIRST_UNIX_S < typical * scale < LAST_UNIX_S:
+            scaled = [] if scale == 1 else [_entry(f"time_scale_s = {scale:g}", units[scale])]
+            return [_entry('time_format = "unix"', f"{units[scale]} since 1970"), *scaled]
+    scaled = [] if named_s is None else [_entry(f"time_scale_s = {named_s:g}", units[named_s])]
     return [
         _entry('time_format = "elapsed"', "the numbers are too small for dates"),
         _entry('epoch_utc = "2000-01-01T00:00:00Z"', "REPLACE by the UTC of time zero"),
+        *scaled,
     ]
