@@ -664,12 +664,16 @@ def test_fractions_in_a_column_of_their_own_are_read_and_named_if_not(tmp_path):
     times = [f"2026-01-01T00:00:{10 * k:02d}+01:00" for k in range(5)]
     ms = [7, 999, 120, 0, 501]
     expected = START - 3600 + 10 * np.arange(5) + np.array(ms) / 1000
-    np.testing.assert_allclose(utc(read(tmp_path, times, FRACTION, ms=ms)), expected, atol=1e-6)
+    np.testing.assert_allclose(
+        utc(read(tmp_path, times, FRACTION, ms=ms)), expected, rtol=0, atol=1e-6
+    )
     unread = read(tmp_path, times, "", ms=ms)
     assert 'set fraction_column = "ms" and fraction_unit_s = 0.001' in notes(unread)
     seconds = [START - 3600 + 10 * k for k in range(5)]
     form = f'time_format = "unix"\n{FRACTION}'
-    np.testing.assert_allclose(utc(read(tmp_path, seconds, form, ms=ms)), expected, atol=1e-6)
+    np.testing.assert_allclose(
+        utc(read(tmp_path, seconds, form, ms=ms)), expected, rtol=0, atol=1e-6
+    )
     for name, values in {"delay_ms": ms, "ms": [7, 1999, 120, 0, 501]}.items():
         assert "fraction" not in notes(read(tmp_path, times, "", **{name: values}))
 
@@ -695,7 +699,7 @@ def test_a_counter_that_overflows_goes_on(bits, scale, tmp_path):
     counts = np.round(true / scale).astype(int) % 2**bits
     form = f'time_format = "elapsed"\ntime_scale_s = {scale}\nepoch_utc = "2026-01-01T00:00:00Z"'
     data = read(tmp_path, counts, form, bad_rows="refuse")
-    np.testing.assert_allclose(data["time"], true, atol=scale)
+    np.testing.assert_allclose(data["time"], true, rtol=0, atol=scale)
     assert f"begin again after {2**bits} counts at line 22: taken as an overflow" in notes(data)
     gap = read(
         tmp_path, [*counts[:20], *(counts[20:] + int(5000 / scale))], form

@@ -319,6 +319,7 @@ def test_a_date_and_a_time_of_day_in_two_columns_and_a_row_of_units_are_read(dat
         ("obc_time_sec,obc_time_subsec", "{unix},{sub}"),
         ("gps_week,TOW_ms", "2403,{tow}{ms:03d}"),
         ("mjd", "{mjd:.9f}"),
+        ("date,time", "20260131,915{s:02d}.{ms:03d}"),
     ],
 )
 def test_times_in_several_columns_and_other_counts_are_read_to_the_millisecond(
@@ -340,7 +341,44 @@ def test_times_in_several_columns_and_other_counts_are_read_to_the_millisecond(
     )
     epoch = datetime.fromisoformat(data.attrs["epoch_utc"]).timestamp()
     expected = zero + np.arange(20) + np.array(milli) / 1000
-    np.testing.assert_allclose(epoch + data["time"].values, expected, atol=1e-4)
+    np.testing.assert_allclose(epoch + data["time"].values, expected, rtol=0, atol=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("first", "second"),
+    [("raw", "eng"), ("max", "mean"), ("ADC", "calibrated"), ("min [mA]", "[mA]")],
+)
+def test_of_several_groups_calibrated_means_are_taken(first, second, folder):
+    names = [f"I_{face} {kind}" for kind in (first, second) for face in ("xp", "xn")]
+    text = f"time,{','.join(names)}\n2026-01-01,900,800,400,300\n"
+    (folder / "export.csv").write_text(text, "utf-8")
+    assert CliRunner().invoke(cli, ["init", "mine", "--from", "export.csv"]).exit_code == 0
+    craft = ss.load_vehicle(folder / "mine" / "vehicle.toml")
+    data = ss.read_telemetry(folder / "export.csv", craft)
+    assert data["current_A"].values[0].tolist() == [0.4, 0.3]
+
+
+@pytest.mark.parametrize(
+    ("name", "scale"), [("time [h]", 3600), ("t_min", 60), ("uptime_us", 1e-6)]
+)
+def test_the_unit_in_the_name_of_elapsed_times_is_read(name, scale, folder):
+    rows = "".join(f"{30 + k},{100 + k},{200 - k}\n" for k in range(9))
+    (folder / "export.csv").write_text(f"{name},iXp,iXm\n{rows}", "utf-8")
+    assert f"time_scale_s = {scale:g} " in check_is_refused("vehicle.toml", "export.csv")
+
+
+def test_negative_numbers_of_a_converter_are_no_light(folder):
+    rows = [f"2026-01-01T00:00:{k:02d}Z,{400 - k},{65533 + k % 3}" for k in range(20)]
+    (folder / "export.csv").write_text("\n".join(["time,iXp,iXm", *rows]), "utf-8")
+    assert CliRunner().invoke(cli, ["init", "mine", "--from", "export.csv"]).exit_code == 0
+    file = folder / "mine" / "vehicle.toml"
+    data = ss.read_telemetry(folder / "export.csv", ss.load_vehicle(file))
+    assert data["current_A"].sel(panel="-X").values.max() < 0
+    file.write_text(
+        re.sub("^wraps_at.*$", "", file.read_text("utf-8"), flags=re.MULTILINE), "utf-8"
+    )
+    with pytest.raises(SunspinError, match="negative numbers .*set wraps_at = 65536"):
+        ss.read_telemetry(folder / "export.csv", ss.load_vehicle(file))
 
 
 @pytest.mark.parametrize(

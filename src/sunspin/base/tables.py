@@ -57,6 +57,13 @@ SEPARATOR = re.compile(r"sep=(,|;|\t|\\t|\|)", re.IGNORECASE)
 
 WESTERN_NOTE = "the file is not UTF-8 text: read in the encoding of Western Windows (cp1252)"
 
+ARCHIVES = {
+    b"PK\x03\x04": "a spreadsheet or a ZIP archive",
+    b"\xd0\xcf\x11\xe0": "a spreadsheet of an old version",
+    b"\x1f\x8b": "a compressed file",
+}
+"""First bytes of files in which a table may be packed -> what they are."""
+
 MAX_DEPTH = 8
 """Nesting of JSON objects; more than any telemetry has."""
 
@@ -142,6 +149,9 @@ def read_table(path: Path) -> TextTable:
     elif content.startswith(b"CDF"):
         do = "convert it to NetCDF-4 (nccopy -k nc4)"
         raise TelemetryError("this is NetCDF of version 3", do=do, where=where)
+    elif kind := next((ARCHIVES[head] for head in ARCHIVES if content.startswith(head)), None):
+        what, do = f"this is {kind} and no text", "unpack it, or save its table as CSV in UTF-8"
+        raise TelemetryError(what, do=do, where=where)
     else:
         try:
             text = decode_text(content, where, TelemetryError, "save it as CSV in UTF-8")
@@ -283,8 +293,9 @@ def _find_header(lines: list[str]) -> tuple[int, list[str]]:
     if not texts:
         return len(lines), lines
 
-    def split(line: str) -> list[str]:
-        return [cell.strip(' "') for cell in line.split(_delimiter_of(line))]
+    def split(line: str, like: str = "") -> list[str]:
+        # numbers with decimal commas have more commas than delimiters: the line `like` of names decides
+        return [cell.strip(' "') for cell in line.split(_delimiter_of(like or line))]
 
     def has_number(cells: list[str]) -> bool:
         return not np.isnan([plain_number(cell.replace(",", ".")) for cell in cells]).all()
@@ -299,7 +310,7 @@ def _find_header(lines: list[str]) -> tuple[int, list[str]]:
         for i, k in enumerate(texts[:MAX_TITLE_LINES]):
             names = split(lines[k])
             # a row of units may stand between the header and the first numbers
-            below = [split(lines[j]) for j in texts[i + 1 : i + 3]]
+            below = [split(lines[j], lines[k]) for j in texts[i + 1 : i + 3]]
             if all(names) and len(names) > 2 and not has_number(names):
                 if any(len(cells) == len(names) and has_number(cells) for cells in below):
                     return k, lines
@@ -391,7 +402,9 @@ def _rows_of_page(page: dict[str, Any], depth: int = 0) -> list[Any] | None:
     object for each column with the rows 0, 1, ..., as pandas writes it; or rows as lists with their names in `columns`.
     """
     if isinstance(page.get("results"), list):
-        return page["results"]
+        series = [one for item in page["results"] if _is_table(item) for one in item["series"]]
+        # InfluxDB 1 has a list of series in each result, and this is the table if there is one
+        return _rows_of_page(series[0]) if len(series) == 1 else page["results"]
     if not page:
         return None
     names = page.get("columns")
@@ -414,6 +427,14 @@ def _rows_of_page(page: dict[str, Any], depth: int = 0) -> list[Any] | None:
             found += [rows] if (rows := _rows_of_page(item, depth + 1)) else []
     found.sort(key=len)
     return found[-1] if found and len(found[-1]) > len((found[-2:-1] or [[]])[0]) else None
+
+
+def _is_table(result: Any) -> bool:
+    """Return whether a result of a query has series with columns and values."""
+    series = result.get("series") if isinstance(result, dict) else None
+    return isinstance(series, list) and all(
+        isinstance(one, dict) and {"columns", "values"} <= set(one) for one in series
+    )
 
 
 def _is_list(item: Any) -> bool:

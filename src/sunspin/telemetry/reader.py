@@ -23,8 +23,9 @@ from sunspin.base.tables import TextTable, read_table
 from sunspin.telemetry.dates import rewrite_dates
 from sunspin.telemetry.fractions import add_fractions, unread_fractions
 from sunspin.telemetry.layout import join_packets, pivot_series
-from sunspin.telemetry.noise import lowest_reading
+from sunspin.telemetry.noise import find_wrapped_counts, lowest_reading
 from sunspin.telemetry.sensors import ABSURD, read_columns, read_sensors, sensor_columns
+from sunspin.telemetry.sources import describe_sources
 from sunspin.telemetry.stored import KIND, restore_telemetry
 from sunspin.telemetry.times import Times, read_received_times, read_times
 from sunspin.telemetry.timescales import UNIX_ZERO
@@ -149,6 +150,7 @@ def read_telemetry(path: Any, vehicle: Vehicle, *, columns: Sequence[str] = ()) 
     time, epoch, received = times.time, times.epoch, times.received
     sensors |= read_columns(table, columns)
     values, flag = _read_panels(vehicle, table, panel_columns)
+    layout_notes += describe_sources(table, time, unused, values)
     values, temperatures = _correct_for_temperature(vehicle, table, values)
     flag |= np.where(_find_late_rows(form, table, time), NOT_INCREASING, np.uint8(0))
     missing = _missing_sensors(vehicle, table, unused)
@@ -280,6 +282,10 @@ def _read_panels(
     form = vehicle.telemetry
     values = table.numbers(columns)
     values = np.where(np.abs(values) < ABSURD, values, np.nan)
+    if form.wraps_at is None and columns and (full := find_wrapped_counts(values)):
+        what = f"readings up to {np.nanmax(values):.0f} look like negative numbers of a converter"
+        do = f"set wraps_at = {full} under [telemetry]"
+        raise TelemetryError(what, do=do, where=table.where)
     values = (unwrap_counts(values, form.wraps_at) - form.zero) * form.scale
     if columns and form.has_voltages:  # the values are currents: power is current times voltage
         common_column = form.voltage_column or ""

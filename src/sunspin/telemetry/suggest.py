@@ -16,9 +16,17 @@ import numpy as np
 
 from sunspin.base.tables import DECIMAL_COMMA, THOUSANDS, TextTable
 from sunspin.base.untrusted import plain_number
-from sunspin.telemetry.dates import TIME_OF_DAY, find_day_first, has_no_order, rewrite_date
+from sunspin.telemetry.dates import (
+    TIME_OF_DAY,
+    find_day_first,
+    has_no_order,
+    is_compact_date,
+    is_compact_time,
+    rewrite_date,
+)
 from sunspin.telemetry.fractions import UNITS_S, find_fractions
 from sunspin.telemetry.layout import pivot_series
+from sunspin.telemetry.noise import find_wrapped_counts
 from sunspin.telemetry.sensors import read_numbers
 from sunspin.telemetry.times import parse_utc
 from sunspin.telemetry.timescales import WEEK_S, WEEKS_TO_ROLLOVER
@@ -95,6 +103,9 @@ TIME_WORDS += ("met", "obt", "sclk", "mjd")
 DAY_COUNTS = ("jd", "julian", "datenum")
 """Words in the name of a column of days from an instant before the calendar of `epoch_utc`."""
 
+YEAR_WORDS = ("year", "years", "yr", "doy")
+"""Words in the name of a column whose numbers are years, or days in one: no times that can be read."""
+
 WEEK_WORDS, SECONDS_OF_WEEK_WORDS = ("week", "weeks", "wn", "gpsweek"), ("tow", "sow", "itow")
 """Words in the names of the columns of GPS weeks and of seconds of the week."""
 
@@ -103,6 +114,9 @@ RECEIVED_WORDS = ("received", "receive", "recv", "reception", "rx", "ert", "grou
 
 COUNT_WORDS = ("adc", "raw", "count", "counts", "cnt", "dn", "lsb")
 """Words in the name of a column of raw counts of a converter."""
+
+EXTREME_WORDS = ("min", "minimum", "max", "maximum", "std", "stddev", "sigma")
+"""Words in the name of a column of other statistics than the mean of an interval."""
 
 SENSOR_WORDS = {
     "gyro": ("gyro", "gyr", "gyros", "gyroscope", "omega", "rate", "rates"),
@@ -129,6 +143,13 @@ FIRST_DAY, LAST_DAY, MOST_DAYS = 35_000.0, 50_000.0, 0.05
 
 LAST_MJD = 65_000.0
 """Days of the Modified Julian Date from 1995 to 2036 follow up to here."""
+
+LONG_UNITS_S = {
+    **dict.fromkeys(("min", "mins", "minute", "minutes"), 60.0),
+    **dict.fromkeys(("h", "hr", "hrs", "hour", "hours"), 3600.0),
+    **dict.fromkeys(("d", "day", "days"), 86_400.0),
+}
+"""Words in the name of a column of times -> their unit, s; units below a second are in `UNITS_S`."""
 
 READ_SHARE = 0.5
 """Share of the cells that must be dates or numbers for a column to be taken as one of times or readings."""
@@ -194,12 +215,15 @@ def suggest_section(table: TextTable, panels: dict[str, str] | None = None) -> S
     table = pivot_series(table, time.column, set()).table
     if (group := _best_group(table)) is None:
         return None
+    wraps_at = find_wrapped_counts(read_numbers(table, list(group.columns.values())))
+    wraps = [_entry(f"wraps_at = {wraps_at}", "check this: negative numbers by the size")]
     lines = [
         "[telemetry]",
         _entry(f'quantity = "{group.quantity}"', ""),
         _entry(f"time_column = {toml_string(time.column)}", ""),
         *time.lines,
         _entry(f"scale = {group.scale:g}", group.reason),
+        *(wraps if wraps_at else []),
         _entry('bad_rows = "flag"', "sort rows, merge repeats, name what cannot be used"),
         "[telemetry.columns]",
         *(
@@ -406,8 +430,11 @@ def _best_group(table: TextTable) -> _Group | None:
         quantity, scale, reason = _judge_quantity(table, template, unit, columns)
         # a minus alone is no face: `mx`, `my`, `mz` are a magnetometer's
         if quantity and len(columns) > 1 and any(face[0] == "+" for face in columns):
-            # of groups with the same faces the one with a stated unit, then currents
-            rank = (len(columns), bool(unit), quantity == "current_A")
+            # of groups with the same faces means before extremes, calibrated values before counts, then the one with a stated
+            # unit, then currents
+            words = set(re.findall(r"[a-z]+", f"{template} {unit}"))
+            is_plain = not words & {*EXTREME_WORDS}, not words & {*COUNT_WORDS} or unit in UNITS
+            rank = (len(columns), *is_plain, bool(unit), quantity == "current_A")
             judged.append((rank, _Group(columns, quantity, scale, reason, template, unit)))
     return max(judged, key=lambda pair: pair[0])[1] if judged else None
 
@@ -477,7 +504,7 @@ def _find_times(table: TextTable) -> _Times | None:
     if not ranked:
         return None
     others: tuple[str, ...] = ()
-    if rank == 1 and (clock := _clock_column(table)) is not None:
+    if rank == 1 and (clock := _clock_column(table, column)) is not None:
         lines = [_entry(f"date_column = {toml_string(column)}", ""), *lines]
         column, others = clock, (column,)
     scaled = any("time_scale_s" in line for line in lines)
@@ -515,15 +542,19 @@ def _gps_weeks(table: TextTable) -> _Times | None:
     return _Times(found["seconds"], lines, (found["week"],))
 
 
-def _clock_column(table: TextTable) -> str | None:
+def _clock_column(table: TextTable, date_column: str) -> str | None:
     """Return the first column of times of day without dates; None if there is none."""
+    compact_dates = all(map(is_compact_date, table.cells[date_column]))
     for column in table.header:
         cells = [cell.strip().lower() for cell in table.cells[column] if cell.strip()]
-        if (
-            cells
-            and np.mean([bool(TIME_OF_DAY.fullmatch(cell)) and ":" in cell for cell in cells])
-            >= READ_SHARE
-        ):
+        # times such as 091500 stand next to dates such as 20260131
+        is_named = set(re.findall(r"[a-z]+", _words(column))) & {*TIME_WORDS}
+        if not cells or column == date_column:
+            continue
+        if compact_dates and is_named and all(map(is_compact_time, cells)):
+            return column
+        are_times = [bool(TIME_OF_DAY.fullmatch(cell)) and ":" in cell for cell in cells]
+        if np.mean(are_times) >= READ_SHARE:
             return column
     return None
 
@@ -534,6 +565,8 @@ def _describe_times(cells: list[str], words: set[str]) -> list[str] | None:
     if not filled:
         return None
     day_first = find_day_first(filled)
+    if "date" in words and all(map(is_compact_date, filled)):
+        return [_entry('time_format = "utc"', "dates; add time_zone if they are local times")]
     ordered = [rewrite_date(cell, day_first is not False) for cell in filled]
     dates = sum(parse_utc(cell) is not None for cell in ordered if not cell.isdigit())
     if dates >= READ_SHARE * len(filled):
@@ -546,7 +579,7 @@ def _describe_times(cells: list[str], words: set[str]) -> list[str] | None:
         return lines
     numbers = np.array([plain_number(cell) for cell in filled])
     known = numbers[np.isfinite(numbers)]
-    if not words & {*TIME_WORDS} or len(known) < READ_SHARE * len(filled):
+    if not words & {*TIME_WORDS} or words & {*YEAR_WORDS} or len(known) < READ_SHARE * len(filled):
         return None
     typical = float(np.median(known))
     steps = np.abs(np.diff(known))
@@ -562,9 +595,11 @@ def _describe_times(cells: list[str], words: set[str]) -> list[str] | None:
             _entry("time_scale_s = 86400", "days"),
             _entry("counts_leap_seconds = false", ""),
         ]
-    named_s = next((UNITS_S[word] for word in sorted(words) if word in UNITS_S), None)
+    sizes = LONG_UNITS_S | UNITS_S
+    named_s = next((sizes[word] for word in sorted(words) if word in sizes), None)
     units = {1.0: "s", 1e-3: "ms", 1e-6: "us", 1e-9: "ns"}
-    for scale in units if named_s is None else (named_s,):
+    units |= {60.0: "minutes", 3600.0: "hours", 86_400.0: "days"}
+    for scale in (1.0, 1e-3, 1e-6, 1e-9) if named_s is None else (named_s,):
         if FIRST_UNIX_S < typical * scale < LAST_UNIX_S:
             scaled = [] if scale == 1 else [_entry(f"time_scale_s = {scale:g}", units[scale])]
             return [_entry('time_format = "unix"', f"{units[scale]} since 1970"), *scaled]
