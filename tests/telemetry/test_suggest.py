@@ -189,11 +189,16 @@ def test_temperatures_below_zero_are_no_angles(folder):
         ("46023.000{:02d}", ['epoch_utc = "1899-12-30T00:00:00Z"', "time_scale_s = 86400"]),
         ("31/01/2026 00:00:{:02d}", ['time_format = "utc"', "day_first = true"]),
         ("03/01/2026 00:00:{:02d}", ["day_first = true ", "# check this"]),
+        ("20260131,300{:02d}", ['time_format = "elapsed"', 'time_column = "timestamp"']),
     ],
 )
 def test_the_form_of_times_follows_from_their_size(cells, lines, folder):
-    rows = "".join(f"{cells.format(k)},{100 + k},{200 - k}\n" for k in range(20))
-    (folder / "export.csv").write_text(f"timestamp,iXp,iXm\n{rows}", "utf-8")
+    rows = "".join(
+        f"{cells.format(k)},{100 + k},{200 - k}\n"
+        for k in range(40, 40 + 20 * (1 + ("," in cells)))
+    )
+    header = "date,timestamp" if "," in cells else "timestamp"
+    (folder / "export.csv").write_text(f"{header},iXp,iXm\n{rows}", "utf-8")
     printed = check_is_refused("vehicle.toml", "export.csv")
     assert all(line in printed for line in lines)
 

@@ -485,7 +485,9 @@ def _find_times(table: TextTable) -> _Times | None:
         by_name = [k for k, word in enumerate(TIME_WORDS) if word in words]
         cells = table.cells[column].tolist()
         lines = _describe_times(cells, words)
-        if lines is not None:
+        # 20260131 may be a number if no times of day stand next to it
+        is_bare = all(map(is_compact_date, cells)) and _clock_column(table, column) is None
+        if lines is not None and not is_bare:
             is_date = lines[0].startswith('time_format = "utc"')
             scale = next((scale for scale in ("gps", "tai") if scale in words), "")
             has_zone = any(
@@ -599,7 +601,8 @@ def _describe_times(cells: list[str], words: set[str]) -> list[str] | None:
     named_s = next((sizes[word] for word in sorted(words) if word in sizes), None)
     units = {1.0: "s", 1e-3: "ms", 1e-6: "us", 1e-9: "ns"}
     units |= {60.0: "minutes", 3600.0: "hours", 86_400.0: "days"}
-    for scale in (1.0, 1e-3, 1e-6, 1e-9) if named_s is None else (named_s,):
+    is_unix = typical > FIRST_UNIX_S and (named_s is None or named_s > 1)
+    for scale in (1.0, 1e-3, 1e-6, 1e-9) if is_unix or named_s is None else (named_s,):
         if FIRST_UNIX_S < typical * scale < LAST_UNIX_S:
             scaled = [] if scale == 1 else [_entry(f"time_scale_s = {scale:g}", units[scale])]
             return [_entry('time_format = "unix"', f"{units[scale]} since 1970"), *scaled]
