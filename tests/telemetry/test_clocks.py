@@ -660,6 +660,16 @@ def test_the_order_of_day_and_month_is_asked_for_unless_a_date_shows_it(tmp_path
 FRACTION = 'fraction_column = "ms"'
 
 
+def test_a_zone_in_the_name_of_the_times_is_named_if_the_file_is_read_as_utc(tmp_path):
+    text = "Zeit (MEZ),pa,pb\n2026-01-01 01:00:00,1,0\n"
+    (tmp_path / "t.csv").write_text(text, "utf-8")
+    named = VEHICLE.replace('"t"', '"Zeit (MEZ)"')
+    for zone, said in {"": True, 'time_zone = "+01:00"': False}.items():
+        vehicle = parse_vehicle(named.format(form=zone, bad_rows="flag"), "v.toml")
+        data = ss.read_telemetry(tmp_path / "t.csv", vehicle)
+        assert ('says otherwise: set time_zone = "+01:00"' in notes(data)) == said
+
+
 def test_fractions_in_a_column_of_their_own_are_read_and_named_if_not(tmp_path):
     times = [f"2026-01-01T00:00:{10 * k:02d}+01:00" for k in range(5)]
     ms = [7, 999, 120, 0, 501]

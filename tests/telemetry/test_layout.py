@@ -256,6 +256,12 @@ def test_rows_of_several_sources_and_cut_times_are_named(expected, tmp_path):
     assert "clock_notes" not in read(tmp_path, right, bad_rows="flag").attrs
 
 
+def test_fractions_of_a_row_for_each_value_are_read(expected, tmp_path):
+    rows = by_metric(template_rows()).assign(ms="0")
+    found = read(tmp_path, rows.to_csv(index=False), fraction_column="ms")
+    assert_same_samples(found, expected)
+
+
 def test_readings_with_the_other_sign_are_named(tmp_path):
     rows = template_rows()
     rows[PANELS] = "-" + rows[PANELS]

@@ -17,7 +17,8 @@ UNITS_S = {
     **dict.fromkeys(("millisecond", "milliseconds"), 1e-3),
     **dict.fromkeys(("us", "usec", "usecs", "micro", "micros", "microsec"), 1e-6),
     **dict.fromkeys(("microsecond", "microseconds"), 1e-6),
-    **dict.fromkeys(("ns", "nsec", "nsecs", "nano", "nanos", "nanosecond", "nanoseconds"), 1e-9),
+    **dict.fromkeys(("ns", "nsec", "nsecs", "nano", "nanos", "nanosec"), 1e-9),
+    **dict.fromkeys(("nanosecond", "nanoseconds"), 1e-9),
 }
 """Words in the name of a column of fractions -> their unit, s."""
 

@@ -122,6 +122,8 @@ def read_telemetry(path: Any, vehicle: Vehicle, *, columns: Sequence[str] = ()) 
         raise TelemetryError(what, do=do, where=str(path))
     if form.date_column is not None:
         require_column(table, form.date_column, "the date")
+    if form.fraction_column is not None:
+        require_column(table, form.fraction_column, "the fraction of a second")
     table = add_fractions(form, rewrite_dates(form, table))
     table, layout_notes = pivot_series(table, form.time_column, columns_of_readings(vehicle))
     header = set(table.header)
@@ -377,8 +379,6 @@ def _require_clock(form: TelemetryForm, table: TextTable) -> None:
     require_column(table, form.time_column, "the time")
     if form.week_column is not None:
         require_column(table, form.week_column, "the GPS week")
-    if form.fraction_column is not None:
-        require_column(table, form.fraction_column, "the fraction of a second")
     if form.receive_time_column is not None:
         require_column(table, form.receive_time_column, "the time of reception")
 

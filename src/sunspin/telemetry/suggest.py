@@ -28,7 +28,7 @@ from sunspin.telemetry.fractions import UNITS_S, find_fractions
 from sunspin.telemetry.layout import pivot_series
 from sunspin.telemetry.noise import find_wrapped_counts
 from sunspin.telemetry.sensors import read_numbers
-from sunspin.telemetry.times import parse_utc
+from sunspin.telemetry.times import parse_utc, zone_of_name
 from sunspin.telemetry.timescales import WEEK_S, WEEKS_TO_ROLLOVER
 
 PLUS = ("+", "p", "pos", "plus", "positive")
@@ -484,18 +484,24 @@ def _find_times(table: TextTable) -> _Times | None:
         words = set(re.findall(r"[a-z]+", _words(column)))
         by_name = [k for k, word in enumerate(TIME_WORDS) if word in words]
         cells = table.cells[column].tolist()
+        scale = next((scale for scale in ("gps", "tai") if scale in words), "")
+        if scale:  # which may also stand after each date
+            cells = [cell.strip().removesuffix(scale.upper()).rstrip() for cell in cells]
         lines = _describe_times(cells, words)
         # 20260131 may be a number if no times of day stand next to it
         is_bare = all(map(is_compact_date, cells)) and _clock_column(table, column) is None
         if lines is not None and not is_bare:
             is_date = lines[0].startswith('time_format = "utc"')
-            scale = next((scale for scale in ("gps", "tai") if scale in words), "")
             has_zone = any(
                 re.search(r"(Z|[+-]\d\d:?\d\d)$", rewrite_date(cell)) for cell in cells[:1]
             )
             if scale and "elapsed" not in lines[0] and not (is_date and has_zone):
                 stated = f'time_format = "{scale}"'
                 lines = [_entry(stated, "by the name of the column; check this"), *lines[1:]]
+            zone = zone_of_name(column) if is_date and not has_zone and not scale else None
+            if zone is not None:
+                stated = f'time_zone = "{zone}"'
+                lines = [*lines, _entry(stated, "by the name of the column; check this")]
             # dates with times of day before dates alone, these before numbers, then UTC of samples, by the name, then the first
             rank = 2 - is_date * (2 if any(":" in cell or "T" in cell for cell in cells) else 1)
             is_other = bool(scale) or bool(words & set(RECEIVED_WORDS))

@@ -62,6 +62,13 @@ OVERFLOW_INTERVALS = 3.0
 """A counter has overflowed if with the added counts the row follows the one before within so many usual intervals."""
 
 NO_ZONE = "times name no zone: taken as UTC"
+ZONES = {
+    **{"cet": "+01:00", "mez": "+01:00", "cest": "+02:00", "mesz": "+02:00"},
+    **{"eet": "+02:00", "eest": "+03:00", "msk": "+03:00", "jst": "+09:00", "kst": "+09:00"},
+    **{"est": "-05:00", "edt": "-04:00", "pst": "-08:00", "pdt": "-07:00"},
+}
+"""Zones in names of columns, without those that several countries use for different ones."""
+
 NO_ZONE_RECEIVED = "received times name no zone: taken as UTC"
 
 SHOWN_BOOTS = 4
@@ -109,6 +116,16 @@ def _to_iso(text: str) -> str | None:
     except (ValueError, OverflowError):  # no such year or day
         return None
     return text
+
+
+def zone_of_name(name: str) -> str | None:
+    """Return the zone in the name of a column of times, such as "+01:00" for "Time (CET)"; None if it names none, or UTC."""
+    words = re.findall(r"[a-z]+", name.lower())
+    if offset := re.search(r"(?:utc|gmt) ?([+-])(\d{1,2})(?::?(\d\d))?(?!\d)", name.lower()):
+        hours, minutes = int(offset[2]), int(offset[3] or 0)
+        zone = f"{offset[1]}{hours:02d}:{minutes:02d}"
+        return zone if 0 < hours * 60 + minutes <= 14 * 60 else None
+    return next((ZONES[word] for word in words if word in ZONES), None)
 
 
 def _kind_of_zone(text: str) -> str | None:
@@ -512,6 +529,10 @@ def _read_utc(form: TelemetryForm, table: TextTable) -> tuple[np.ndarray, bool, 
     notes = []
     if bare.all():
         notes = [NO_ZONE]
+        if zone := zone_of_name(form.time_column):
+            notes = [
+                f'{NO_ZONE}, but the name of column {form.time_column!r} says otherwise: set time_zone = "{zone}"'
+            ]
     elif bare.any():
         n = int(bare.sum())
         notes = [f"{'1 time names' if n == 1 else f'{n} times name'} no zone: taken as UTC"]
