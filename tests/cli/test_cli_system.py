@@ -301,6 +301,24 @@ def test_an_interruption_in_code_compiled_from_a_text_leaves_the_exit_code(tmp_p
     assert (done.returncode, done.stderr.count("\n")) == (130, 1)
 
 
+def test_an_interruption_does_not_wait_for_threads_that_compute(tmp_path):
+    program = tmp_path / "program.py"
+    program.write_text(
+        "import time\n"
+        "from concurrent.futures import ThreadPoolExecutor\n"
+        "from sunspin.cli import cli, main, interruption\n"
+        "def work(**_):\n"
+        "    ThreadPoolExecutor(1, interruption.THREADS).submit(time.sleep, 60)\n"
+        "    interruption.stop()\n"
+        "cli.main = work\n"
+        "main()\n"
+    )
+    done = subprocess.run(
+        [sys.executable, program], env=ELSEWHERE, capture_output=True, text=True, timeout=30
+    )
+    assert (done.returncode, done.stderr.count("\n")) == (130, 1)
+
+
 def test_an_interrupted_plan_prints_its_complete_rounds_and_exits_with_130(sunspin, monkeypatch):
     def interrupted(*arguments, **options):
         result = plan(*arguments, **options | {"samples": 3, "passes": 1})

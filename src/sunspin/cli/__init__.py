@@ -20,7 +20,12 @@ try:
 
     from sunspin.base.errors import SunspinError, printable
     from sunspin.cli.common import Group
-    from sunspin.cli.interruption import STOPPED, accept_interruption, catch_signals
+    from sunspin.cli.interruption import (
+        STOPPED,
+        accept_interruption,
+        catch_signals,
+        end_with_threads,
+    )
 except KeyboardInterrupt:  # Ctrl-C before `main` has set the handlers of signals
     sys.stderr.write(f"sunspin: {INTERRUPTED}\n")
     sys.exit(130)
@@ -109,6 +114,8 @@ def main() -> None:
         except OSError:
             # The disk is full, for example. Python would flush again at exit and print an error, so the output is discarded.
             os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
+    if code == 130:
+        end_with_threads(code)
     sys.exit(code)
 
 

@@ -2,15 +2,23 @@
 
 from __future__ import annotations
 
+import os
 import signal
 import sys
 import threading
+import time
 import weakref
 from functools import partial
 from typing import Any
 
 AGAIN_S = 0.5
 """Seconds after which an interruption that a library has swallowed is raised again."""
+
+WAIT_S = 1.0
+"""Seconds that threads get to end after an interruption; chunks of a scan take up to half a minute."""
+
+THREADS = "sunspin"
+"""Beginning of the names of threads that compute rows (:mod:`sunspin.compute.rows`)."""
 
 STOPPED = threading.Event()
 """Set once a signal has asked the process to end."""
@@ -69,6 +77,19 @@ def _set_alarm(every_s: float, handler: Any = None) -> None:
         if every_s:
             signal.signal(signal.SIGALRM, handler)
         signal.setitimer(signal.ITIMER_REAL, every_s, every_s)
+
+
+def end_with_threads(code: int) -> None:
+    """End the process with an exit code if threads of this package still compute after `WAIT_S`; else return.
+
+    A compiled loop cannot be interrupted, and Python would wait for its thread. Nothing that such threads compute is kept.
+    """
+    end = time.monotonic() + WAIT_S
+    threads = [one for one in threading.enumerate() if one.name.startswith(THREADS)]
+    for thread in threads:
+        thread.join(max(0.0, end - time.monotonic()))
+    if any(thread.is_alive() for thread in threads):
+        os._exit(code)
 
 
 def _report_unraisable(unraisable: Any) -> None:
