@@ -376,6 +376,14 @@ def test_the_unit_in_the_name_of_elapsed_times_is_read(name, scale, folder):
     assert f"time_scale_s = {scale:g} " in check_is_refused("vehicle.toml", "export.csv")
 
 
+def test_panels_in_another_unit_than_the_others_are_named(folder):
+    names = "I_xp [mA],I_yp [mA],I_xn [A],I_yp [A],P_yn [mW],V_yn [V]"
+    (folder / "export.csv").write_text(f"time,{names}\n2026-01-01,400,300,0.1,0.3,9,5\n", "utf-8")
+    assert CliRunner().invoke(cli, ["init", "mine", "--from", "export.csv"]).exit_code == 0
+    text = (folder / "mine" / "vehicle.toml").read_text("utf-8")
+    assert '"I_xn [A]"' in text.partition("PANELS IN ANOTHER UNIT")[2].splitlines()[0]
+
+
 def test_negative_numbers_of_a_converter_are_no_light(folder):
     rows = [f"2026-01-01T00:00:{k:02d}Z,{400 - k},{65533 + k % 3}" for k in range(20)]
     (folder / "export.csv").write_text("\n".join(["time,iXp,iXm", *rows]), "utf-8")

@@ -203,6 +203,15 @@ class _Group(NamedTuple):
         has_word = re.fullmatch(rf"{before}\w+{after}", _words(name)) is not None
         return has_word and unit == self.unit and bool(before.strip() or after.strip())
 
+    def in_another_unit(self, column: str) -> bool:
+        """Return whether a column is named as those of the group, with a face that these lack, and in another unit."""
+        name, unit = _split_unit(column)
+        words = _words(name)
+        if (match := FACE.search(words)) is None or unit == self.unit or unit not in UNITS:
+            return False
+        template = f"{words[: match.start()]}#{words[match.end() :]}"
+        return template == self.template and _face_of(match) not in self.columns
+
 
 def suggest_section(table: TextTable, panels: dict[str, str] | None = None) -> Suggestion | None:
     """Return a section that would read a table; None without a column of times or of two faces.
@@ -240,6 +249,11 @@ def suggest_section(table: TextTable, panels: dict[str, str] | None = None) -> S
         names = ", ".join(map(toml_string, like))
         lines.append(
             f"# perhaps panels whose names say no face, such as wings; each needs a [[panel]]: {names}"
+        )
+    if other := [name for name in others if group.in_another_unit(name)]:
+        names = ", ".join(map(toml_string, other))
+        lines.append(
+            f"# PANELS IN ANOTHER UNIT, which one scale does not read; convert them: {names}"
         )
     largest = {
         face: group.scale * float(np.nanmax(read_numbers(table, [column]), initial=-np.inf))
@@ -412,6 +426,12 @@ def _words(name: str) -> str:
     return re.sub(r"[._/:|#]+", " ", spaced).lower()
 
 
+def _face_of(match: re.Match[str]) -> str:
+    """Return the face that a match of `FACE` names, such as "+X"."""
+    sign = match["before"] or match["after"]
+    return ("+" if sign in PLUS else "-") + (match["first"] or match["second"]).upper()
+
+
 def _best_group(table: TextTable) -> _Group | None:
     """Return the group of columns that are most probably currents or powers of panels; None if no group has two faces."""
     groups: dict[tuple[str, str], dict[str, str]] = defaultdict(dict)
@@ -421,10 +441,8 @@ def _best_group(table: TextTable) -> _Group | None:
         face = FACE.search(words)
         if face is None or not _is_numeric(table, column):
             continue
-        sign = face["before"] or face["after"]
-        label = ("+" if sign in PLUS else "-") + (face["first"] or face["second"]).upper()
         template = f"{words[: face.start()]}#{words[face.end() :]}"
-        groups[template, unit].setdefault(label, column)
+        groups[template, unit].setdefault(_face_of(face), column)
     judged = []
     for (template, unit), columns in groups.items():
         quantity, scale, reason = _judge_quantity(table, template, unit, columns)
