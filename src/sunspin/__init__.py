@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import sys
 from difflib import get_close_matches
-from importlib import import_module, metadata
+from importlib import import_module
 from importlib.abc import MetaPathFinder
 from importlib.machinery import ModuleSpec
 from types import ModuleType
@@ -163,6 +163,8 @@ else:
 def __getattr__(name: str) -> Any:
     """Return a public name, imported at its first use; raise `AttributeError` for any other name."""
     if name == "__version__":
+        from importlib import metadata  # takes as long to import as the rest of the command line
+
         return metadata.version("sunspin")
     if name not in _MODULES:
         similar = get_close_matches(name, _MODULES, n=1)

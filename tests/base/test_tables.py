@@ -84,6 +84,32 @@ def test_damaged_tables_are_refused_in_one_sentence(content, tmp_path):
 ELAPSED = VEHICLE.format(form="elapsed")
 
 
+@pytest.mark.parametrize(
+    ("name", "encoding", "read"),
+    [
+        ("Größe I [µA] bei 20 °C", "cp1252", True),
+        ("Température – côté ensoleillé", "cp1252", True),
+        ("Größe [°C]", "utf-8", True),
+        ("温度", "gbk", False),
+        ("温", "gbk", False),
+        ("Ток панели", "cp1251", False),
+        ("T [°C]", "mac-roman", False),
+    ],
+)
+def test_western_windows_text_is_read_and_named_and_no_other_encoding(
+    name, encoding, read, tmp_path
+):
+    path = tmp_path / "t.csv"
+    path.write_bytes(f"when,pa,pb,{name}\r\n1,0.5,0.1,20\r\n2,0.4,0.2,21\r\n".encode(encoding))
+    if not read:
+        with pytest.raises(ss.TelemetryError, match=r"line 1: the file is not UTF-8 text; save it"):
+            ss.read_telemetry(path, parse_vehicle(ELAPSED, "v"))
+        return
+    data = ss.read_telemetry(path, parse_vehicle(ELAPSED, "v"))
+    assert data.attrs["unused_columns"] == name
+    assert ("cp1252" in data.attrs.get("clock_notes", "")) == (encoding == "cp1252")
+
+
 def sensors_vehicle():
     p, m = (SENSOR.format(name=name, normal=[s, 0, 0]) for name, s in (("p", 1), ("m", -1)))
     return parse_vehicle(ELAPSED + p + m, "v")

@@ -15,10 +15,11 @@ import pytest
 
 from sunspin import cli
 from sunspin.base.errors import InputError, OutputError
-from sunspin.cli import values
+from sunspin.cli import interruption, values
 from sunspin.cli.common import COMMANDS
 from sunspin.output.folder import results_folder
-from tests.support.rows import heed_interrupts
+from sunspin.planning import plan
+from tests.support.rows import ELSEWHERE, heed_interrupts
 
 START = ["--omega-deg-s=6,0,0", "--sun=0.1959,0.5690,0.7986"]
 
@@ -229,9 +230,7 @@ def test_a_closed_pipe_is_no_error():
 def test_an_interruption_prints_one_sentence_and_exits_with_130(kind, tmp_path):
     """Also where somebody ends the process or closes its terminal; its copies end with it."""
     out = tmp_path / "out"
-    # the installed command: under `python -m`, Python ends by the signal itself where Ctrl-C met a library that runs text
-    # (exec), though it was caught; shells call both 130
-    command = [Path(sys.executable).with_name("sunspin"), "reproduce", "--quiet", "--out", out]
+    command = [sys.executable, "-m", "sunspin.cli", "reproduce", "--quiet", "--out", out]
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
     process = subprocess.Popen(command, preexec_fn=heed_interrupts, start_new_session=True, **pipes)
     try:
@@ -259,16 +258,75 @@ def test_an_exception_of_a_library_during_an_interruption_is_reported_as_the_int
     def stumble(**_):
         try:
             if stopped:
-                cli._stop()
+                interruption.stop()
         except KeyboardInterrupt:
             pass
         raise AttributeError("module 'half' has no attribute 'there'")
 
-    monkeypatch.setattr(cli, "_STOPPED", threading.Event())
+    unset = threading.Event()
+    monkeypatch.setattr(interruption, "STOPPED", unset)
+    monkeypatch.setattr(cli, "STOPPED", unset)
     monkeypatch.setattr(cli.cli, "main", stumble)
     code, _, said = sunspin()
     expected = (130, True, False) if stopped else (1, False, True)
     assert (code, "interrupted" in said, "defect" in said) == expected
+
+
+def test_an_interruption_that_a_library_swallows_is_raised_again(sunspin, monkeypatch):
+    def swallow(**_):
+        try:
+            interruption.stop()
+        except:  # noqa: E722, as libraries have it
+            time.sleep(2 * interruption.AGAIN_S)  # alive meanwhile: not raised twice
+        time.sleep(30)
+
+    monkeypatch.setattr(interruption, "AGAIN_S", 0.05)
+    monkeypatch.setattr(cli.cli, "main", swallow)
+    begin = time.monotonic()
+    code, _, said = sunspin()
+    assert (code, said.count("\n"), time.monotonic() - begin < 10) == (130, 1, True)
+    assert signal.getitimer(signal.ITIMER_REAL)[0] == 0
+
+
+def test_an_interruption_in_code_compiled_from_a_text_leaves_the_exit_code(tmp_path):
+    """Python would end by the signal instead, so that a shell sees no exit code."""
+    program = tmp_path / "program.py"
+    program.write_text(
+        "from sunspin.cli import cli, main, interruption\n"
+        "cli.main = lambda **_: exec('interruption.stop()')\n"
+        "main()\n"
+    )
+    command = [sys.executable, "-m", "program"]
+    done = subprocess.run(command, cwd=tmp_path, env=ELSEWHERE, capture_output=True, text=True)
+    assert (done.returncode, done.stderr.count("\n")) == (130, 1)
+
+
+def test_an_interruption_does_not_wait_for_threads_that_compute(tmp_path):
+    program = tmp_path / "program.py"
+    program.write_text(
+        "import time\n"
+        "from concurrent.futures import ThreadPoolExecutor\n"
+        "from sunspin.cli import cli, main, interruption\n"
+        "def work(**_):\n"
+        "    ThreadPoolExecutor(1, interruption.THREADS).submit(time.sleep, 60)\n"
+        "    interruption.stop()\n"
+        "cli.main = work\n"
+        "main()\n"
+    )
+    done = subprocess.run(
+        [sys.executable, program], env=ELSEWHERE, capture_output=True, text=True, timeout=30
+    )
+    assert (done.returncode, done.stderr.count("\n")) == (130, 1)
+
+
+def test_an_interrupted_plan_prints_its_complete_rounds_and_exits_with_130(sunspin, monkeypatch):
+    def interrupted(*arguments, **options):
+        result = plan(*arguments, **options | {"samples": 3, "passes": 1})
+        return result.assign_attrs(interrupted=1)
+
+    monkeypatch.setattr("sunspin.planning.plan", interrupted)
+    code, printed, said = sunspin("plan", "skcube", "--every", "10", "--passes", "2", "--quiet")
+    assert (code, said) == (130, "sunspin: interrupted, 1 of 2 rounds are complete and printed\n")
 
 
 def test_files_given_in_the_wrong_order_get_a_message_on_the_order(sunspin, tmp_path):

@@ -548,7 +548,7 @@ UNREAD = "the catalogue number of the satellite cannot be read .found "
         (_of_type("4"), TYPE_4),
         (VANGUARD.replace(" 00005", " I0005"), f"{UNREAD}I0005."),
         (VANGUARD.replace(" 00005", " O0005"), f"{UNREAD}O0005."),
-        ("", "no orbital elements here; give two lines that begin with 1 and 2, or an OMM"),
+        ("", "no orbital elements here; give two lines that begin with 1 and 2, an OMM, or a CSV"),
         ("{", "this is not valid JSON"),
         ("[1]", "the JSON is not an OMM"),
         (json.dumps(NO_BSTAR), "the OMM lacks a key .found BSTAR."),

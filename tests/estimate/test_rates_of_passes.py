@@ -12,6 +12,7 @@ import sunspin as ss
 from sunspin.base.errors import InputError, SunspinError
 from sunspin.estimate.rates import rates
 from sunspin.estimate.settings import RATES
+from sunspin.output.kinds.rates import rates_summary
 from sunspin.output.template import write_templates
 from tests.support.passes import judged
 from tests.support.schemas import schema, stored_schema
@@ -142,3 +143,8 @@ def test_result_of_rates_has_the_stored_schema(tmp_path):
     craft = ss.load_vehicle(vehicle)
     result = ss.rates(craft, ss.read_telemetry(telemetry, craft))
     assert schema(result) == stored_schema("rates")
+    # an error of the readings that the program assumes is printed with its unit
+    for unit, said in {"W": "0.02 W (median)", "": "0.02 (in the unit of the readings)"}.items():
+        attrs = {"noise": 0.02, "noise_from": "assumed", "noise_unit": unit}
+        assert any(said in line for line in rates_summary(result.assign_attrs(attrs)).lines)
+    assert result.attrs["noise_unit"] == "W"

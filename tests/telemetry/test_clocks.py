@@ -655,3 +655,63 @@ def test_the_order_of_day_and_month_is_asked_for_unless_a_date_shows_it(tmp_path
         read(tmp_path, [*times, "31/03/2026 12:00:00"], "day_first = false")
     with pytest.raises(TelemetryError, match="column 'day' .the date. is missing"):
         read(tmp_path, times, 'date_column = "day"')
+
+
+FRACTION = 'fraction_column = "ms"'
+
+
+def test_a_zone_in_the_name_of_the_times_is_named_if_the_file_is_read_as_utc(tmp_path):
+    text = "Zeit (MEZ),pa,pb\n2026-01-01 01:00:00,1,0\n"
+    (tmp_path / "t.csv").write_text(text, "utf-8")
+    named = VEHICLE.replace('"t"', '"Zeit (MEZ)"')
+    for zone, said in {"": True, 'time_zone = "+01:00"': False}.items():
+        vehicle = parse_vehicle(named.format(form=zone, bad_rows="flag"), "v.toml")
+        data = ss.read_telemetry(tmp_path / "t.csv", vehicle)
+        assert ('says otherwise: set time_zone = "+01:00"' in notes(data)) == said
+
+
+def test_fractions_in_a_column_of_their_own_are_read_and_named_if_not(tmp_path):
+    times = [f"2026-01-01T00:00:{10 * k:02d}+01:00" for k in range(5)]
+    ms = [7, 999, 120, 0, 501]
+    expected = START - 3600 + 10 * np.arange(5) + np.array(ms) / 1000
+    np.testing.assert_allclose(
+        utc(read(tmp_path, times, FRACTION, ms=ms)), expected, rtol=0, atol=1e-6
+    )
+    unread = read(tmp_path, times, "", ms=ms)
+    assert 'set fraction_column = "ms" and fraction_unit_s = 0.001' in notes(unread)
+    seconds = [START - 3600 + 10 * k for k in range(5)]
+    form = f'time_format = "unix"\n{FRACTION}'
+    np.testing.assert_allclose(
+        utc(read(tmp_path, seconds, form, ms=ms)), expected, rtol=0, atol=1e-6
+    )
+    for name, values in {"delay_ms": ms, "ms": [7, 1999, 120, 0, 501]}.items():
+        assert "fraction" not in notes(read(tmp_path, times, "", **{name: values}))
+
+
+@pytest.mark.parametrize(
+    ("time", "part", "text"),
+    [
+        ("2026-01-01T00:00:00Z", 1000, "column 'ms': a fraction of a second is a number from 0"),
+        ("2026-01-01T00:00:00Z", "", "column 'ms': a fraction .* .found an empty cell"),
+        ("2026-01-01T00:00:00.25Z", 3, "column 't': a time with fractions .* whole seconds"),
+    ],
+)
+def test_a_wrong_fraction_is_refused(time, part, text, tmp_path):
+    with pytest.raises(TelemetryError, match=text):
+        read(tmp_path, [time], FRACTION, ms=[part])
+    with pytest.raises(TelemetryError, match="column 'ms' .the fraction of a second. is missing"):
+        read(tmp_path, [time], FRACTION)
+
+
+@pytest.mark.parametrize(("bits", "scale"), [(16, 1.0), (24, 0.1), (32, 0.001)])
+def test_a_counter_that_overflows_goes_on(bits, scale, tmp_path):
+    true = np.arange(40) * 10.0 + 2**bits * scale - 195
+    counts = np.round(true / scale).astype(int) % 2**bits
+    form = f'time_format = "elapsed"\ntime_scale_s = {scale}\nepoch_utc = "2026-01-01T00:00:00Z"'
+    data = read(tmp_path, counts, form, bad_rows="refuse")
+    np.testing.assert_allclose(data["time"], true, rtol=0, atol=scale)
+    assert f"begin again after {2**bits} counts at line 22: taken as an overflow" in notes(data)
+    gap = read(
+        tmp_path, [*counts[:20], *(counts[20:] + int(5000 / scale))], form
+    )  # perhaps a reset
+    assert "taken for rows out of order" in notes(gap)

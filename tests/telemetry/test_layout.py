@@ -240,3 +240,55 @@ def test_Unix_times_in_smaller_units_are_known_by_their_size(unit, per_second, e
     stated = read(tmp_path, text, time_format="unix", time_scale_s=1 / per_second)
     assert_same_samples(stated, expected)
     assert "clock_notes" not in stated.attrs
+
+
+def test_rows_of_several_sources_and_cut_times_are_named(expected, tmp_path):
+    rows = template_rows()
+    second = rows.assign(**{PANELS[0]: "0.123"})
+    mixed = pd.concat([rows.assign(sat="A"), second.assign(sat="B")]).to_csv(index=False)
+    notes = read(tmp_path, mixed, bad_rows="flag").attrs["clock_notes"]
+    assert "40 of 80 rows have the time of the row before" in notes and "'sat' differs" in notes
+    assert "column 'sat' has 2 values (A, B): keep the rows of one satellite" in notes
+    cut = rows.assign(time_utc=rows["time_utc"].str[:16] + "Z").to_csv(index=False)
+    notes = read(tmp_path, cut, bad_rows="flag").attrs["clock_notes"]
+    assert "its times are cut" in notes and "keep the rows" not in notes
+    right = rows.assign(sat="A", sat_mode=["SAFE", "SUN"] * 20).to_csv(index=False)
+    assert "clock_notes" not in read(tmp_path, right, bad_rows="flag").attrs
+
+
+def test_fractions_of_a_row_for_each_value_are_read(expected, tmp_path):
+    rows = by_metric(template_rows()).assign(ms="0")
+    found = read(tmp_path, rows.to_csv(index=False), fraction_column="ms")
+    assert_same_samples(found, expected)
+
+
+def test_readings_with_the_other_sign_are_named(tmp_path):
+    rows = template_rows()
+    rows[PANELS] = "-" + rows[PANELS]
+    notes = read(tmp_path, rows.to_csv(index=False), bad_rows="flag").attrs["clock_notes"]
+    assert "all panel readings are negative" in notes
+
+
+def test_a_header_below_titles_is_found_above_numbers_with_decimal_commas(expected, tmp_path):
+    rows = template_rows()
+    units = pd.DataFrame([["[UTC]", *["[W]"] * len(PANELS)]], columns=rows.columns)
+    text = pd.concat([units, rows]).to_csv(index=False, sep=";", decimal=",").replace(".", ",")
+    text = text.replace("Z;", ",000Z;")
+    found = read(tmp_path, f"Mission;Demo\nExport;1,2\n\n{text}")
+    assert_same_samples(found, expected)
+
+
+def test_a_query_of_InfluxDB_1_reads_as_its_table(expected, tmp_path):
+    rows = template_rows()
+    series = {"name": "eps", "columns": list(rows), "values": rows.to_numpy().tolist()}
+    page = {"results": [{"statement_id": 0, "series": [series]}]}
+    assert_same_samples(read(tmp_path, json.dumps(page)), expected)
+
+
+@pytest.mark.parametrize(
+    ("head", "what"),
+    [(b"PK\x03\x04", "a spreadsheet or a ZIP"), (b"\x1f\x8b", "a compressed file")],
+)
+def test_packed_files_are_refused_by_their_name(head, what, tmp_path):
+    with pytest.raises(ss.TelemetryError, match=f"this is {what}.*; unpack it, or save"):
+        read(tmp_path, head + bytes(range(200)))

@@ -6,6 +6,7 @@ import csv
 import io
 import json
 import re
+from datetime import datetime
 from importlib import resources
 
 import numpy as np
@@ -183,15 +184,21 @@ def test_temperatures_below_zero_are_no_angles(folder):
         ("17672256{:02d}", ['time_format = "unix"']),
         ("17672256{:02d}000", ['time_format = "unix"', "time_scale_s = 0.001"]),
         ("1{:02d}", ['time_format = "elapsed"', "REPLACE by the UTC of time zero"]),
+        ("61071.000{:02d}", ['epoch_utc = "1858-11-17T00:00:00Z"', "time_scale_s = 86400"]),
         ("2026/01/01 00:00:{:02d} UTC", ['time_format = "utc"']),
         ("46023.000{:02d}", ['epoch_utc = "1899-12-30T00:00:00Z"', "time_scale_s = 86400"]),
         ("31/01/2026 00:00:{:02d}", ['time_format = "utc"', "day_first = true"]),
         ("03/01/2026 00:00:{:02d}", ["day_first = true ", "# check this"]),
+        ("20260131,300{:02d}", ['time_format = "elapsed"', 'time_column = "timestamp"']),
     ],
 )
 def test_the_form_of_times_follows_from_their_size(cells, lines, folder):
-    rows = "".join(f"{cells.format(k)},{100 + k},{200 - k}\n" for k in range(20))
-    (folder / "export.csv").write_text(f"timestamp,iXp,iXm\n{rows}", "utf-8")
+    rows = "".join(
+        f"{cells.format(k)},{100 + k},{200 - k}\n"
+        for k in range(40, 40 + 20 * (1 + ("," in cells)))
+    )
+    header = "date,timestamp" if "," in cells else "timestamp"
+    (folder / "export.csv").write_text(f"{header},iXp,iXm\n{rows}", "utf-8")
     printed = check_is_refused("vehicle.toml", "export.csv")
     assert all(line in printed for line in lines)
 
@@ -221,6 +228,10 @@ def test_nothing_is_suggested_where_names_say_nothing(header, what, folder):
         ({"Received Time": "2026-01-01 05:00", "Time": "2026-01-01 00:00"}, 'time_column = "Time"'),
         ({"gps_time": "1451260818"}, 'time_format = "gps"'),
         ({"gps_time": "2026-01-01 00:00:18"}, 'time_format = "gps"'),
+        ({"GPS Time": "2026-01-01 00:00:18 GPS"}, 'time_format = "gps"'),
+        ({"Time (CET)": "2026-01-01 01:00:00"}, 'time_zone = "+01:00"'),
+        ({"time UTC-3:30": "2025-12-31 20:30:00"}, 'time_zone = "-03:30"'),
+        ({"Time [UTC]": "2026-01-01 00:00:00"}, 'time_format = "utc"'),
         ({"gps_time": "2026-01-01T00:00:00Z"}, 'time_format = "utc"'),
     ],
 )
@@ -254,6 +265,27 @@ def test_columns_of_other_readings_of_a_panel_are_no_currents(name, folder):
     assert "no columns look like currents or powers" in str(done.exception)
 
 
+@pytest.mark.parametrize(
+    ("header", "what", "do"),
+    [
+        ("time,iXp [cnt; mA = 0.12*N],iXm [cnt; mA = 0.12*N]", "its unit is not known", "scale"),
+        ("JD,iXp,iXm", "column 'JD' may hold days from long before our era", "MJD"),
+    ],
+)
+def test_units_and_days_that_are_not_known_are_named(header, what, do, folder):
+    time = "2461071.5" if header[0] == "J" else "2026-01-01"
+    (folder / "export.csv").write_text(f"{header}\n{time},20,30\n", "utf-8")
+    done = CliRunner().invoke(cli, ["init", "mine", "--from", "export.csv"])
+    assert what in str(done.exception) and do in str(done.exception)
+
+
+def test_a_counter_of_milliseconds_since_the_start_is_no_unix_time(folder):
+    rows = "".join(f"{2**32 - 90_000 + 10_000 * k},{100 + k},{200 - k}\n" for k in range(9))
+    (folder / "export.csv").write_text(f"uptime_ms,iXp,iXm\n{rows}", "utf-8")
+    printed = check_is_refused("vehicle.toml", "export.csv")
+    assert 'time_format = "elapsed"' in printed and "time_scale_s = 0.001" in printed
+
+
 @pytest.mark.parametrize("cell", ["412 mA", "0x1f", "'412'"])
 def test_columns_of_panels_without_numbers_are_named_with_a_cell(cell, folder):
     (folder / "export.csv").write_text(f"time,iXp,iXm\n2026-01-01,{cell},{cell}\n", "utf-8")
@@ -284,6 +316,97 @@ def test_a_date_and_a_time_of_day_in_two_columns_and_a_row_of_units_are_read(dat
     assert "# not read" not in (folder / "mine" / "vehicle.toml").read_text("utf-8")
     np.testing.assert_allclose(data["time"], np.arange(20))
     np.testing.assert_allclose(data["current_A"].sel(panel="+X"), 0.3 + 0.001 * np.arange(20))
+
+
+@pytest.mark.parametrize(
+    ("names", "cells"),
+    [
+        ("Date,Time,ms", "31.01.2026,09:15:{s:02d},{ms}"),
+        ("UTC,Milliseconds", "2026-01-31T09:15:{s:02d}Z,{ms}"),
+        ("Time (s),Time (µs)", "{unix},{ms}000"),
+        ("timestamp,fraction", "2026-01-31 09:15:{s:02d},0.{ms:03d}"),
+        ("obc_time_sec,obc_time_subsec", "{unix},{sub}"),
+        ("gps_week,TOW_ms", "2403,{tow}{ms:03d}"),
+        ("mjd", "{mjd:.9f}"),
+        ("date,time", "20260131,915{s:02d}.{ms:03d}"),
+    ],
+)
+def test_times_in_several_columns_and_other_counts_are_read_to_the_millisecond(
+    names, cells, folder
+):
+    zero, lines = 1769850900, []  # 2026-01-31T09:15:00Z
+    milli = [(370 * k + 991) % 1000 for k in range(20)]
+    for k, ms in enumerate(milli):
+        counts = {"s": k, "ms": ms, "unix": zero + k, "sub": int(65.536 * ms)}
+        counts |= {"tow": (zero + k - 315964800 + 18) % 604800}
+        counts |= {"mjd": (zero + k + ms / 1000) / 86400 + 40587}
+        lines.append(f"{cells.format(**counts)},{300 + k},{200 - k},5")
+    text = "\n".join([f"{names},iXp [mA],iXm [mA],latency_ms", *lines])
+    (folder / "export.csv").write_text(text, "utf-8")
+    done = CliRunner().invoke(cli, ["init", "mine", "--from", "export.csv"])
+    assert done.exit_code == 0, done.exception
+    data = ss.read_telemetry(
+        folder / "export.csv", ss.load_vehicle(folder / "mine" / "vehicle.toml")
+    )
+    epoch = datetime.fromisoformat(data.attrs["epoch_utc"]).timestamp()
+    expected = zero + np.arange(20) + np.array(milli) / 1000
+    np.testing.assert_allclose(epoch + data["time"].values, expected, rtol=0, atol=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("first", "second"),
+    [("raw", "eng"), ("max", "mean"), ("ADC", "calibrated"), ("min [mA]", "[mA]")],
+)
+def test_of_several_groups_calibrated_means_are_taken(first, second, folder):
+    names = [f"I_{face} {kind}" for kind in (first, second) for face in ("xp", "xn")]
+    text = f"time,{','.join(names)}\n2026-01-01,900,800,400,300\n"
+    (folder / "export.csv").write_text(text, "utf-8")
+    assert CliRunner().invoke(cli, ["init", "mine", "--from", "export.csv"]).exit_code == 0
+    craft = ss.load_vehicle(folder / "mine" / "vehicle.toml")
+    data = ss.read_telemetry(folder / "export.csv", craft)
+    assert data["current_A"].values[0].tolist() == [0.4, 0.3]
+
+
+@pytest.mark.parametrize(
+    ("name", "scale"), [("time [h]", 3600), ("t_min", 60), ("uptime_us", 1e-6)]
+)
+def test_the_unit_in_the_name_of_elapsed_times_is_read(name, scale, folder):
+    rows = "".join(f"{30 + k},{100 + k},{200 - k}\n" for k in range(9))
+    (folder / "export.csv").write_text(f"{name},iXp,iXm\n{rows}", "utf-8")
+    assert f"time_scale_s = {scale:g} " in check_is_refused("vehicle.toml", "export.csv")
+
+
+def test_panels_in_another_unit_than_the_others_are_named(folder):
+    names = "I_xp [mA],I_yp [mA],I_xn [A],I_yp [A],P_yn [mW],V_yn [V]"
+    (folder / "export.csv").write_text(f"time,{names}\n2026-01-01,400,300,0.1,0.3,9,5\n", "utf-8")
+    assert CliRunner().invoke(cli, ["init", "mine", "--from", "export.csv"]).exit_code == 0
+    text = (folder / "mine" / "vehicle.toml").read_text("utf-8")
+    assert '"I_xn [A]"' in text.partition("PANELS IN ANOTHER UNIT")[2].splitlines()[0]
+
+
+def test_negative_numbers_of_a_converter_are_no_light(folder):
+    rows = [f"2026-01-01T00:00:{k:02d}Z,{400 - k},{65533 + k % 3}" for k in range(20)]
+    (folder / "export.csv").write_text("\n".join(["time,iXp,iXm", *rows]), "utf-8")
+    assert CliRunner().invoke(cli, ["init", "mine", "--from", "export.csv"]).exit_code == 0
+    file = folder / "mine" / "vehicle.toml"
+    data = ss.read_telemetry(folder / "export.csv", ss.load_vehicle(file))
+    assert data["current_A"].sel(panel="-X").values.max() < 0
+    file.write_text(
+        re.sub("^wraps_at.*$", "", file.read_text("utf-8"), flags=re.MULTILINE), "utf-8"
+    )
+    with pytest.raises(SunspinError, match="negative numbers .*set wraps_at = 65536"):
+        ss.read_telemetry(folder / "export.csv", ss.load_vehicle(file))
+
+
+@pytest.mark.parametrize(
+    ("unit", "scale"), [("[10 uA]", 1e-5), ("(x0.122 mA)", 1.22e-4), ("[0.5 mA/LSB]", 5e-4)]
+)
+def test_a_multiple_in_the_unit_of_a_column_is_the_scale(unit, scale, folder):
+    text = f"time,iXp_raw {unit},iXm_raw {unit}\n2026-01-01,2000,300\n"
+    (folder / "export.csv").write_text(text, "utf-8")
+    assert CliRunner().invoke(cli, ["init", "mine", "--from", "export.csv"]).exit_code == 0
+    form = ss.load_vehicle(folder / "mine" / "vehicle.toml").telemetry
+    assert (form.quantity, form.scale) == ("current_A", pytest.approx(scale))
 
 
 def export_with_sensors() -> str:

@@ -24,7 +24,7 @@ import numpy as np
 import pandas as pd
 
 from sunspin.base.errors import TelemetryError
-from sunspin.base.untrusted import decode_text, plain_number, read_bytes
+from sunspin.base.untrusted import decode_text, decode_western, plain_number, read_bytes
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -55,6 +55,15 @@ MAX_TITLE_LINES = 50
 SEPARATOR = re.compile(r"sep=(,|;|\t|\\t|\|)", re.IGNORECASE)
 """A first line that names the delimiter for spreadsheet programs."""
 
+WESTERN_NOTE = "the file is not UTF-8 text: read in the encoding of Western Windows (cp1252)"
+
+ARCHIVES = {
+    b"PK\x03\x04": "a spreadsheet or a ZIP archive",
+    b"\xd0\xcf\x11\xe0": "a spreadsheet of an old version",
+    b"\x1f\x8b": "a compressed file",
+}
+"""First bytes of files in which a table may be packed -> what they are."""
+
 MAX_DEPTH = 8
 """Nesting of JSON objects; more than any telemetry has."""
 
@@ -70,7 +79,7 @@ class TextTable(NamedTuple):
 
     `comments` are the texts after `#`; `where` names the file in messages; `data` is the Dataset of a NetCDF file. `counted` says
     what the number of a row counts: each "line" of a text, or each "row" of a file without lines or of a JSON list. `units` has the
-    text below the name of each column, if there is a row of units.
+    text below the name of each column, if there is a row of units. `notes` are sentences on how the file was read.
     """
 
     cells: pd.DataFrame
@@ -80,6 +89,7 @@ class TextTable(NamedTuple):
     data: xr.Dataset | None = None
     counted: str = "line"
     units: Mapping[str, str] = MappingProxyType({})
+    notes: tuple[str, ...] = ()
 
     @property
     def header(self) -> list[str]:
@@ -130,7 +140,7 @@ def read_table(path: Path) -> TextTable:
     """Read a table; its first bytes, not its name, decide the file type. Raises `TelemetryError`."""
     where = str(path)
     content = read_bytes(path, MAX_FILE_BYTES, "telemetry file", TelemetryError, "check the path")
-    data, comments, counted, units = None, [], "row", {}
+    data, comments, counted, units, notes = None, [], "row", {}, ()
     if content.startswith(b"PAR1"):
         cells = _text_cells(_read_parquet(content, where))
     elif content.startswith(b"\x89HDF\r\n\x1a\n"):
@@ -139,8 +149,16 @@ def read_table(path: Path) -> TextTable:
     elif content.startswith(b"CDF"):
         do = "convert it to NetCDF-4 (nccopy -k nc4)"
         raise TelemetryError("this is NetCDF of version 3", do=do, where=where)
+    elif kind := next((ARCHIVES[head] for head in ARCHIVES if content.startswith(head)), None):
+        what, do = f"this is {kind} and no text", "unpack it, or save its table as CSV in UTF-8"
+        raise TelemetryError(what, do=do, where=where)
     else:
-        text = decode_text(content, where, TelemetryError, "save it as CSV in UTF-8")
+        try:
+            text = decode_text(content, where, TelemetryError, "save it as CSV in UTF-8")
+        except TelemetryError:
+            if (western := decode_western(content)) is None:
+                raise
+            text, notes = western, (WESTERN_NOTE,)
         if "\0" in text or not text.strip():
             what = "the file holds binary data" if text.strip() else "the file is empty"
             do = "give a CSV in UTF-8 with a header and one row per sample"
@@ -153,7 +171,7 @@ def read_table(path: Path) -> TextTable:
     if cells.empty:
         raise TelemetryError("the file holds no samples", where=where)
     return TextTable(
-        cells, comments, hashlib.sha256(content).hexdigest(), where, data, counted, units
+        cells, comments, hashlib.sha256(content).hexdigest(), where, data, counted, units, notes
     )
 
 
@@ -275,8 +293,9 @@ def _find_header(lines: list[str]) -> tuple[int, list[str]]:
     if not texts:
         return len(lines), lines
 
-    def split(line: str) -> list[str]:
-        return [cell.strip(' "') for cell in line.split(_delimiter_of(line))]
+    def split(line: str, like: str = "") -> list[str]:
+        # numbers with decimal commas have more commas than delimiters: the line `like` of names decides
+        return [cell.strip(' "') for cell in line.split(_delimiter_of(like or line))]
 
     def has_number(cells: list[str]) -> bool:
         return not np.isnan([plain_number(cell.replace(",", ".")) for cell in cells]).all()
@@ -291,7 +310,7 @@ def _find_header(lines: list[str]) -> tuple[int, list[str]]:
         for i, k in enumerate(texts[:MAX_TITLE_LINES]):
             names = split(lines[k])
             # a row of units may stand between the header and the first numbers
-            below = [split(lines[j]) for j in texts[i + 1 : i + 3]]
+            below = [split(lines[j], lines[k]) for j in texts[i + 1 : i + 3]]
             if all(names) and len(names) > 2 and not has_number(names):
                 if any(len(cells) == len(names) and has_number(cells) for cells in below):
                     return k, lines
@@ -383,7 +402,9 @@ def _rows_of_page(page: dict[str, Any], depth: int = 0) -> list[Any] | None:
     object for each column with the rows 0, 1, ..., as pandas writes it; or rows as lists with their names in `columns`.
     """
     if isinstance(page.get("results"), list):
-        return page["results"]
+        series = [one for item in page["results"] if _is_table(item) for one in item["series"]]
+        # InfluxDB 1 has a list of series in each result, and this is the table if there is one
+        return _rows_of_page(series[0]) if len(series) == 1 else page["results"]
     if not page:
         return None
     names = page.get("columns")
@@ -406,6 +427,14 @@ def _rows_of_page(page: dict[str, Any], depth: int = 0) -> list[Any] | None:
             found += [rows] if (rows := _rows_of_page(item, depth + 1)) else []
     found.sort(key=len)
     return found[-1] if found and len(found[-1]) > len((found[-2:-1] or [[]])[0]) else None
+
+
+def _is_table(result: Any) -> bool:
+    """Return whether a result of a query has series with columns and values."""
+    series = result.get("series") if isinstance(result, dict) else None
+    return isinstance(series, list) and all(
+        isinstance(one, dict) and {"columns", "values"} <= set(one) for one in series
+    )
 
 
 def _is_list(item: Any) -> bool:

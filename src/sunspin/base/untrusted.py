@@ -5,6 +5,7 @@ from __future__ import annotations
 import codecs
 import math
 import os
+import re
 import stat
 import subprocess
 import sys
@@ -93,6 +94,32 @@ def decode_text(content: bytes, where: str, error_type: type[SunspinError], do: 
         encoding = "UTF-16" if is_utf16 else "UTF-8"
         what, at = f"the file is not {encoding} text", f"{where}, line {line}"
         raise error_type(what, do=do, where=at) from None
+
+
+LETTERS = {chr(code) for code in range(0xC0, 0xFF)} - {*"×÷ÐÞðþ"}  # 0xFF is erased memory
+
+WESTERN = LETTERS | {*"°µ²³±·§–—€\u00a0ßœŒ"}
+"""Characters beyond ASCII in names of columns in Western languages: signs of units, and letters with accents."""
+
+UTF_8_PAIR = re.compile(rb"[\xc2-\xf4][\x80-\xbf]")
+"""Bytes that begin a character of UTF-8, and a pair of Chinese or Japanese encodings; no pair of a Western text."""
+
+
+def decode_western(content: bytes) -> str | None:
+    """Decode the encoding of Western Windows (cp1252), as spreadsheets write CSV there; None if the text may be another one.
+
+    Letters of other alphabets would become runs of letters with accents, or signs that no name of a column has.
+    """
+    if UTF_8_PAIR.search(content) or re.search(rb"[\x80-\xff]{3}", content):
+        return None
+    try:
+        text = content.decode("cp1252")
+    except UnicodeDecodeError:
+        return None
+    # side by side, Western names have small letters only (Größe); a Chinese character is a pair that begins with a capital
+    pairs = re.findall("[^\\x00-\\x7f]{2}", text)
+    is_western = {letter for letter in text if letter > "\x7f"} <= WESTERN
+    return text if is_western and all(map(str.islower, pairs)) else None
 
 
 def read_toml(

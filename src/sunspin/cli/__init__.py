@@ -8,23 +8,31 @@ import gc
 import io
 import os
 import re
-import signal
 import sys
-import threading
 import warnings
 from collections.abc import Generator
 from contextlib import contextmanager
 
-import click
+INTERRUPTED = "interrupted; nothing half-written was left behind, run the same command again"
 
-from sunspin.base.errors import SunspinError, printable
-from sunspin.cli.common import Group
+try:
+    import click
+
+    from sunspin.base.errors import SunspinError, printable
+    from sunspin.cli.common import Group
+    from sunspin.cli.interruption import (
+        STOPPED,
+        accept_interruption,
+        catch_signals,
+        end_with_threads,
+    )
+except KeyboardInterrupt:  # Ctrl-C before `main` has set the handlers of signals
+    sys.stderr.write(f"sunspin: {INTERRUPTED}\n")
+    sys.exit(130)
 
 GARBAGE = 200_000
 """Objects that may become garbage before it is collected: small ones take some 20 MB. Python collects after 700. Imports take
 0.05 s more with 50,000."""
-
-INTERRUPTED = "interrupted; nothing half-written was left behind, run the same command again"
 
 
 @click.group(
@@ -54,12 +62,15 @@ def main() -> None:
     if not (sys.warnoptions or os.environ.get("SUNSPIN_TRACEBACK")):
         # warnings of libraries are for programmers, who can set PYTHONWARNINGS to see them
         warnings.simplefilter("ignore")
-    _catch_signals()
+    catch_signals()
     # at its end Python would look for garbage in all that was imported, several times, although the memory is freed anyway
     atexit.register(gc.freeze)
     try:
-        with _seldom_collecting():
-            code = cli.main(prog_name="sunspin", standalone_mode=False)
+        try:
+            with _seldom_collecting():
+                code = cli.main(prog_name="sunspin", standalone_mode=False)
+        finally:
+            accept_interruption()
         sys.stdout.flush()
         sys.exit(code if isinstance(code, int) else 0)
     except (click.Abort, KeyboardInterrupt) as stop:
@@ -84,7 +95,7 @@ def main() -> None:
         do = "free space" if error.errno in (errno.ENOSPC, errno.EDQUOT) else "check the path"
         text, code = f"error: {target} cannot be used ({error.strerror or error}); {do}", 2
     except Exception as error:
-        if _STOPPED.is_set():
+        if STOPPED.is_set():
             # a library has caught the interruption and failed later: that is no defect
             text, code = INTERRUPTED, 130
         elif os.environ.get("SUNSPIN_TRACEBACK"):
@@ -103,6 +114,8 @@ def main() -> None:
         except OSError:
             # The disk is full, for example. Python would flush again at exit and print an error, so the output is discarded.
             os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
+    if code == 130:
+        end_with_threads(code)
     sys.exit(code)
 
 
@@ -126,25 +139,3 @@ def _prepare_streams() -> None:
         if isinstance(stream, io.TextIOWrapper):
             # names of files may have characters that the encoding of the terminal lacks
             stream.reconfigure(errors="backslashreplace")
-
-
-def _catch_signals() -> None:
-    """Make signals that would end the process raise `KeyboardInterrupt`, so that worker processes are ended too.
-
-    A signal that is ignored, as SIGHUP under nohup, stays ignored. Only the main thread can set handlers.
-    """
-    if threading.current_thread() is not threading.main_thread():
-        return
-    for number in (signal.SIGINT, signal.SIGTERM, getattr(signal, "SIGHUP", signal.SIGTERM)):
-        if signal.getsignal(number) in (signal.SIG_DFL, signal.default_int_handler):
-            signal.signal(number, _stop)
-
-
-_STOPPED = threading.Event()
-"""Set once a signal has asked the process to end."""
-
-
-def _stop(*_: object) -> None:
-    """Handle a signal: remember it, and raise `KeyboardInterrupt`."""
-    _STOPPED.set()
-    raise KeyboardInterrupt

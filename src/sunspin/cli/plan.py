@@ -6,9 +6,10 @@ import math
 
 import click
 
-from sunspin.base.errors import InputError
+from sunspin.base.errors import InputError, Interrupted
 from sunspin.cli.changes import Command
 from sunspin.cli.common import POSITIVE, shared
+from sunspin.cli.interruption import accept_interruption
 from sunspin.cli.values import parse_numbers
 
 ROUNDS_SHOWN = (1, 3, 10, 30, 100, 300, 1000, 3000)
@@ -111,4 +112,9 @@ def plan(
         workers=worker_count(workers),
         after_round=None if output.quiet else report,
     )
+    accept_interruption()
     output.deliver(result, vehicle, main="plan.csv")
+    if result.attrs["interrupted"]:
+        done = int(result["passes"].sum()) // result.sizes["every"]
+        kept = "printed" if output.folder is None else f"kept in {output.folder}"
+        raise Interrupted(f"interrupted, {done} of {passes} rounds are complete and {kept}")

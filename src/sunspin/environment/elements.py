@@ -188,7 +188,7 @@ def parse_elements(text: str, where: str, satellite: str = "") -> tuple[Elements
             else:
                 sets.append(_from_omm(fields, at))
     if not sets:
-        do = "give two lines that begin with 1 and 2, or an OMM"
+        do = "give two lines that begin with 1 and 2, an OMM, or a CSV with time_utc, x_km, y_km, z_km"
         raise InputError("no orbital elements here", do=do, where=where)
     if satellite:
         sets = _select_satellite(sets, satellite, where)

@@ -49,6 +49,8 @@ from sunspin.solve.rotations import (
 )
 from sunspin.telemetry.assess import LOW_SHARE, Assessment
 from sunspin.telemetry.gains import FAINT
+from sunspin.telemetry.signals import signals
+from sunspin.telemetry.units import reading_unit
 from sunspin.vehicle import Vehicle
 
 ROUNDING = 1e-3
@@ -156,6 +158,8 @@ def _attributes(
         noise = vehicle.input_noise
         attrs["noise"] = float(np.median(sigmas[0] if noise is None else noise))
         attrs["noise_from"] = OF_SCATTER if noise is None else "given"
+        # empty for relative readings
+        attrs["noise_unit"] = reading_unit(vehicle, signals(telemetry))
     sensors = [
         term for term in readings.obs.terms if term.name in (*OTHER_SENSORS, RateMagnitudes.name)
     ]

@@ -24,7 +24,7 @@ UNORDERED = r"(?P<first>\d{1,2})[/-](?P<second>\d{1,2})[/-](?P<year>\d{4}|\d\d)"
 DATES = (
     r"(?P<year>\d{4})[-/.](?P<month>\d{1,2})[-/.](?P<day>\d{1,2})",
     r"(?P<year>\d{4})[-/.:](?P<day_of_year>\d{3})",
-    r"(?P<year>\d{4})(?P<month>\d\d)(?P<day>\d\d)(?=\d{6})",
+    r"(?P<year>\d{4})(?P<month>\d\d)(?P<day>\d\d)(?= ?\d{6})",
     r"(?P<day>\d{1,2})\.(?P<month>\d{1,2})\.(?P<year>\d{4}|\d\d)",
     r"(?P<day>\d{1,2})[- ](?P<name>[a-z]{3,9})[- ,]+(?P<year>\d{4})",
     r"(?P<name>[a-z]{3,9})\.? (?P<day>\d{1,2}),? (?P<year>\d{4})",
@@ -48,6 +48,9 @@ NOTATIONS = tuple(
 )
 
 BEGINS_UNORDERED = re.compile(rf"{WEEKDAY}{UNORDERED}\b")
+
+COMPACT_TIME = re.compile(r"(?:[01]\d|2[0-3])[0-5]\d[0-5]\d(?:[.,]\d+)?", re.ASCII)
+"""A time such as 091500.25, which stands next to a date such as 20260131."""
 
 TIME_OF_DAY = re.compile(rf"{CLOCK}{ZONE}")
 
@@ -87,6 +90,24 @@ def rewrite_date(text: str, day_first: bool | None = None) -> str:
     return iso if parse_utc(iso) else text
 
 
+def is_compact_date(text: str) -> bool:
+    """Return whether a text is a date such as 20260131."""
+    digits = text.strip()
+    return re.fullmatch(r"(19|20)\d{6}", digits, re.ASCII) is not None and (
+        parse_utc(f"{digits[:4]}-{digits[4:6]}-{digits[6:]}") is not None
+    )
+
+
+def pad_time(text: str) -> str:
+    """Return a time such as 91500.25 with the first zeros that a spreadsheet has dropped: 091500.25."""
+    return re.sub(r"^\d+", lambda digits: digits[0].zfill(6), text.strip())
+
+
+def is_compact_time(text: str) -> bool:
+    """Return whether a text is a time of day such as 091500.25, perhaps without its first zeros."""
+    return COMPACT_TIME.fullmatch(pad_time(text)) is not None
+
+
 def find_day_first(texts: Iterable[str]) -> bool | None:
     """Return whether the day is before the month in dates such as 31/01/2026; None if no date shows it."""
     found = (BEGINS_UNORDERED.match(text.strip().lower()) for text in texts)
@@ -115,7 +136,10 @@ def rewrite_dates(form: TelemetryForm, table: TextTable) -> TextTable:
     cells = table.cells.copy()
     if form.date_column in table.header and form.time_column in table.header:
         dates = cells.pop(form.date_column)
-        cells[form.time_column] = dates.str.strip() + " " + cells[form.time_column].str.strip()
+        times = cells[form.time_column].str.strip()
+        if all(map(is_compact_date, dates)) and all(map(is_compact_time, times)):
+            times = [pad_time(time) for time in times]
+        cells[form.time_column] = dates.str.strip() + " " + times
     columns = [form.time_column] if form.time_format in ("utc", "gps", "tai") else []
     if form.receive_time_column is not None and form.receive_time_format == "utc":
         columns.append(form.receive_time_column)

@@ -39,6 +39,28 @@ ROUNDS = 4
 at a third of its size to within 5 %."""
 
 
+CONVERTERS = (2**16, 2**24, 2**32)
+"""Counts of converters whose negative numbers appear as large ones."""
+
+NEAR_FULL, FAR_FROM_FULL = 0.95, 0.5
+"""Readings above the first share of a converter's counts are negative numbers if no other is above the second share."""
+
+LEAST_WRAPPED = 3
+"""Different readings near full scale; a single one is a fill value or saturation."""
+
+
+def find_wrapped_counts(values: np.ndarray) -> int | None:
+    """Return the counts of the converter if whole numbers near its full scale look like negative ones; None if none do."""
+    known = values[np.isfinite(values)]
+    for full in CONVERTERS:
+        high = np.unique(known[(known > NEAR_FULL * full) & (known < full)])
+        low = known[known <= NEAR_FULL * full]
+        is_whole = bool((known == np.round(known)).all())
+        if len(high) >= LEAST_WRAPPED and is_whole and known.max() < full and len(low):
+            return full if low.max() < FAR_FROM_FULL * full else None
+    return None
+
+
 def dark_noise(values: npt.ArrayLike, least: int = LEAST_NEGATIVE) -> float | None:
     """Return one sigma of a reading, estimated from the median of the readings below zero.
 

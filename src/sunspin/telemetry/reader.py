@@ -21,9 +21,11 @@ from sunspin.base.errors import TelemetryError
 from sunspin.base.provenance import provenance
 from sunspin.base.tables import TextTable, read_table
 from sunspin.telemetry.dates import rewrite_dates
+from sunspin.telemetry.fractions import add_fractions, unread_fractions
 from sunspin.telemetry.layout import join_packets, pivot_series
-from sunspin.telemetry.noise import lowest_reading
+from sunspin.telemetry.noise import find_wrapped_counts, lowest_reading
 from sunspin.telemetry.sensors import ABSURD, read_columns, read_sensors, sensor_columns
+from sunspin.telemetry.sources import describe_sources
 from sunspin.telemetry.stored import KIND, restore_telemetry
 from sunspin.telemetry.times import Times, read_received_times, read_times
 from sunspin.telemetry.timescales import UNIX_ZERO
@@ -120,7 +122,9 @@ def read_telemetry(path: Any, vehicle: Vehicle, *, columns: Sequence[str] = ()) 
         raise TelemetryError(what, do=do, where=str(path))
     if form.date_column is not None:
         require_column(table, form.date_column, "the date")
-    table = rewrite_dates(form, table)
+    if form.fraction_column is not None:
+        require_column(table, form.fraction_column, "the fraction of a second")
+    table = add_fractions(form, rewrite_dates(form, table))
     table, layout_notes = pivot_series(table, form.time_column, columns_of_readings(vehicle))
     header = set(table.header)
     sensors = read_sensors(vehicle, table)
@@ -129,6 +133,7 @@ def read_telemetry(path: Any, vehicle: Vehicle, *, columns: Sequence[str] = ()) 
         require_column(table, name, "a column that is asked for")
     _require_clock(form, table)
     unused = _unused_columns(vehicle, table, [*panel_columns, *columns])
+    layout_notes += table.notes + unread_fractions(form, table, unused)
     reading_columns = header - {*_clock_columns(form), *unused}
     times, counts = read_times(form, table, reading_columns), {}
     if form.bad_rows != "refuse":
@@ -147,6 +152,7 @@ def read_telemetry(path: Any, vehicle: Vehicle, *, columns: Sequence[str] = ()) 
     time, epoch, received = times.time, times.epoch, times.received
     sensors |= read_columns(table, columns)
     values, flag = _read_panels(vehicle, table, panel_columns)
+    layout_notes += describe_sources(table, time, unused, values)
     values, temperatures = _correct_for_temperature(vehicle, table, values)
     flag |= np.where(_find_late_rows(form, table, time), NOT_INCREASING, np.uint8(0))
     missing = _missing_sensors(vehicle, table, unused)
@@ -278,6 +284,10 @@ def _read_panels(
     form = vehicle.telemetry
     values = table.numbers(columns)
     values = np.where(np.abs(values) < ABSURD, values, np.nan)
+    if form.wraps_at is None and columns and (full := find_wrapped_counts(values)):
+        what = f"readings up to {np.nanmax(values):.0f} look like negative numbers of a converter"
+        do = f"set wraps_at = {full} under [telemetry]"
+        raise TelemetryError(what, do=do, where=table.where)
     values = (unwrap_counts(values, form.wraps_at) - form.zero) * form.scale
     if columns and form.has_voltages:  # the values are currents: power is current times voltage
         common_column = form.voltage_column or ""
@@ -360,7 +370,7 @@ def _correct_for_temperature(
 
 def _clock_columns(form: TelemetryForm) -> list[str]:
     """Return the names of the columns that contain times."""
-    names = (form.time_column, form.week_column, form.receive_time_column)
+    names = (form.time_column, form.fraction_column, form.week_column, form.receive_time_column)
     return [name for name in names if name is not None]
 
 

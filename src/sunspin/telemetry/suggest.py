@@ -16,10 +16,20 @@ import numpy as np
 
 from sunspin.base.tables import DECIMAL_COMMA, THOUSANDS, TextTable
 from sunspin.base.untrusted import plain_number
-from sunspin.telemetry.dates import TIME_OF_DAY, find_day_first, has_no_order, rewrite_date
+from sunspin.telemetry.dates import (
+    TIME_OF_DAY,
+    find_day_first,
+    has_no_order,
+    is_compact_date,
+    is_compact_time,
+    rewrite_date,
+)
+from sunspin.telemetry.fractions import UNITS_S, find_fractions
 from sunspin.telemetry.layout import pivot_series
+from sunspin.telemetry.noise import find_wrapped_counts
 from sunspin.telemetry.sensors import read_numbers
-from sunspin.telemetry.times import parse_utc
+from sunspin.telemetry.times import parse_utc, zone_of_name
+from sunspin.telemetry.timescales import WEEK_S, WEEKS_TO_ROLLOVER
 
 PLUS = ("+", "p", "pos", "plus", "positive")
 """Words for the plus side of an axis; the other signs of `FACE` are those of its minus side."""
@@ -44,6 +54,11 @@ UNITS = {
     "%": ("power_W", 0.01),
 }
 """Unit in small letters -> quantity, and its size in A or W."""
+
+MULTIPLE = re.compile(
+    r"[x*×]? ?(?P<factor>\d+(\.\d+)?(e-?\d+)?) ?[x*×]? ?(?P<unit>[munµμ]?[aw])( ?/ ?(lsb|counts?|bit|dn))?"
+)
+"""A unit that is a multiple of another, in small letters, such as 10 uA or x0.122 mA."""
 
 UNIT_WORD = re.compile(r"(?P<prefix>milli|micro|)(?:(?P<A>amp(?:[eè]re)?s?)|(?P<W>watts?))")
 """A unit of currents or powers as a word, in small letters."""
@@ -82,13 +97,26 @@ MILLI = 30.0
 """A reading without a unit above this is in thousandths: no single panel gives 30 A or 30 W."""
 
 TIME_WORDS = ("time", "timestamp", "date", "datetime", "utc", "unix", "epoch", "uptime", "ts", "t")
+TIME_WORDS += ("met", "obt", "sclk", "mjd")
 """Words in the name of a time column, the likeliest first."""
+
+DAY_COUNTS = ("jd", "julian", "datenum")
+"""Words in the name of a column of days from an instant before the calendar of `epoch_utc`."""
+
+YEAR_WORDS = ("year", "years", "yr", "doy")
+"""Words in the name of a column whose numbers are years, or days in one: no times that can be read."""
+
+WEEK_WORDS, SECONDS_OF_WEEK_WORDS = ("week", "weeks", "wn", "gpsweek"), ("tow", "sow", "itow")
+"""Words in the names of the columns of GPS weeks and of seconds of the week."""
 
 RECEIVED_WORDS = ("received", "receive", "recv", "reception", "rx", "ert", "ground", "downlink")
 """Words in the name of a column of times of reception, which are later than those of the samples."""
 
 COUNT_WORDS = ("adc", "raw", "count", "counts", "cnt", "dn", "lsb")
 """Words in the name of a column of raw counts of a converter."""
+
+EXTREME_WORDS = ("min", "minimum", "max", "maximum", "std", "stddev", "sigma")
+"""Words in the name of a column of other statistics than the mean of an interval."""
 
 SENSOR_WORDS = {
     "gyro": ("gyro", "gyr", "gyros", "gyroscope", "omega", "rate", "rates"),
@@ -110,8 +138,18 @@ SENSOR_UNITS = {
 FIRST_UNIX_S, LAST_UNIX_S = 9e8, 5e9
 """Unix times of satellites with such telemetry, s: from 1998 to 2128."""
 
-FIRST_DAY, LAST_DAY, MOST_DAYS = 35_000.0, 62_000.0, 0.05
-"""Days of a spreadsheet from 1995 to 2069, and the largest interval of samples: as seconds it would be shorter than any."""
+FIRST_DAY, LAST_DAY, MOST_DAYS = 35_000.0, 50_000.0, 0.05
+"""Days of a spreadsheet from 1995 to 2036, and the largest interval of samples: as seconds it would be shorter than any."""
+
+LAST_MJD = 65_000.0
+"""Days of the Modified Julian Date from 1995 to 2036 follow up to here."""
+
+LONG_UNITS_S = {
+    **dict.fromkeys(("min", "mins", "minute", "minutes"), 60.0),
+    **dict.fromkeys(("h", "hr", "hrs", "hour", "hours"), 3600.0),
+    **dict.fromkeys(("d", "day", "days"), 86_400.0),
+}
+"""Words in the name of a column of times -> their unit, s; units below a second are in `UNITS_S`."""
 
 READ_SHARE = 0.5
 """Share of the cells that must be dates or numbers for a column to be taken as one of times or readings."""
@@ -138,11 +176,11 @@ class AxisColumns(NamedTuple):
 
 
 class _Times(NamedTuple):
-    """The column of times, that of dates if it has times of day (else None), and lines of the section on how to read them."""
+    """The column of times, lines of the section on how to read them, and further columns that these lines name."""
 
     column: str
-    date_column: str | None
     lines: list[str]
+    others: tuple[str, ...] = ()
 
 
 class _Group(NamedTuple):
@@ -165,6 +203,15 @@ class _Group(NamedTuple):
         has_word = re.fullmatch(rf"{before}\w+{after}", _words(name)) is not None
         return has_word and unit == self.unit and bool(before.strip() or after.strip())
 
+    def in_another_unit(self, column: str) -> bool:
+        """Return whether a column is named as those of the group, with a face that these lack, and in another unit."""
+        name, unit = _split_unit(column)
+        words = _words(name)
+        if (match := FACE.search(words)) is None or unit == self.unit or unit not in UNITS:
+            return False
+        template = f"{words[: match.start()]}#{words[match.end() :]}"
+        return template == self.template and _face_of(match) not in self.columns
+
 
 def suggest_section(table: TextTable, panels: dict[str, str] | None = None) -> Suggestion | None:
     """Return a section that would read a table; None without a column of times or of two faces.
@@ -177,15 +224,15 @@ def suggest_section(table: TextTable, panels: dict[str, str] | None = None) -> S
     table = pivot_series(table, time.column, set()).table
     if (group := _best_group(table)) is None:
         return None
-    date_columns = [] if time.date_column is None else [time.date_column]
-    date_lines = [_entry(f"date_column = {toml_string(name)}", "") for name in date_columns]
+    wraps_at = find_wrapped_counts(read_numbers(table, list(group.columns.values())))
+    wraps = [_entry(f"wraps_at = {wraps_at}", "check this: negative numbers by the size")]
     lines = [
         "[telemetry]",
         _entry(f'quantity = "{group.quantity}"', ""),
         _entry(f"time_column = {toml_string(time.column)}", ""),
-        *date_lines,
         *time.lines,
         _entry(f"scale = {group.scale:g}", group.reason),
+        *(wraps if wraps_at else []),
         _entry('bad_rows = "flag"', "sort rows, merge repeats, name what cannot be used"),
         "[telemetry.columns]",
         *(
@@ -194,7 +241,7 @@ def suggest_section(table: TextTable, panels: dict[str, str] | None = None) -> S
             if panels is None or face in panels
         ),
     ]
-    used = {time.column, *date_columns, *group.columns.values()}
+    used = {time.column, *time.others, *group.columns.values()}
     if others := [name for name in table.header if name not in used]:
         shown = ", ".join(map(toml_string, others[:12])) + (", ..." * (len(others) > 12))
         lines.append(f"# not read: {shown}")
@@ -202,6 +249,11 @@ def suggest_section(table: TextTable, panels: dict[str, str] | None = None) -> S
         names = ", ".join(map(toml_string, like))
         lines.append(
             f"# perhaps panels whose names say no face, such as wings; each needs a [[panel]]: {names}"
+        )
+    if other := [name for name in others if group.in_another_unit(name)]:
+        names = ", ".join(map(toml_string, other))
+        lines.append(
+            f"# PANELS IN ANOTHER UNIT, which one scale does not read; convert them: {names}"
         )
     largest = {
         face: group.scale * float(np.nanmax(read_numbers(table, [column]), initial=-np.inf))
@@ -221,7 +273,16 @@ def explain_missing(table: TextTable) -> tuple[str, str]:
         ):
             what = f"column {column!r} may be of a panel, but its cells are not numbers, such as {cell[:30]!r}"
             return what, "write plain decimals, such as -1.5e-3"
+    for column in table.header if has_times else []:
+        name, unit = _unit_of(table, column)
+        has_formula = re.search(r"\d|count|lsb", unit) is not None
+        if has_formula and FACE.search(_words(name)) and _is_numeric(table, column):
+            what = f"column {column[:60]!r} may be of a panel, but its unit is not known"
+            return what, "write a [telemetry] section by hand, with quantity, scale and zero"
     for column in [] if has_times else table.header:
+        if set(re.findall(r"[a-z]+", _words(column))) & {*DAY_COUNTS}:
+            what = f"column {column!r} may hold days from long before our era, which are not read"
+            return what, "write dates such as 2026-01-31T23:59:59Z, or days as MJD: JD - 2400000.5"
         is_named = bool(set(re.findall(r"[a-z]+", _words(column))) & set(TIME_WORDS))
         if is_named and (cell := _unreadable_cell(table, column)):
             what = (
@@ -365,6 +426,12 @@ def _words(name: str) -> str:
     return re.sub(r"[._/:|#]+", " ", spaced).lower()
 
 
+def _face_of(match: re.Match[str]) -> str:
+    """Return the face that a match of `FACE` names, such as "+X"."""
+    sign = match["before"] or match["after"]
+    return ("+" if sign in PLUS else "-") + (match["first"] or match["second"]).upper()
+
+
 def _best_group(table: TextTable) -> _Group | None:
     """Return the group of columns that are most probably currents or powers of panels; None if no group has two faces."""
     groups: dict[tuple[str, str], dict[str, str]] = defaultdict(dict)
@@ -374,17 +441,18 @@ def _best_group(table: TextTable) -> _Group | None:
         face = FACE.search(words)
         if face is None or not _is_numeric(table, column):
             continue
-        sign = face["before"] or face["after"]
-        label = ("+" if sign in PLUS else "-") + (face["first"] or face["second"]).upper()
         template = f"{words[: face.start()]}#{words[face.end() :]}"
-        groups[template, unit].setdefault(label, column)
+        groups[template, unit].setdefault(_face_of(face), column)
     judged = []
     for (template, unit), columns in groups.items():
         quantity, scale, reason = _judge_quantity(table, template, unit, columns)
         # a minus alone is no face: `mx`, `my`, `mz` are a magnetometer's
         if quantity and len(columns) > 1 and any(face[0] == "+" for face in columns):
-            # of groups with the same faces the one with a stated unit, then currents
-            rank = (len(columns), bool(unit), quantity == "current_A")
+            # of groups with the same faces means before extremes, calibrated values before counts, then the one with a stated
+            # unit, then currents
+            words = set(re.findall(r"[a-z]+", f"{template} {unit}"))
+            is_plain = not words & {*EXTREME_WORDS}, not words & {*COUNT_WORDS} or unit in UNITS
+            rank = (len(columns), *is_plain, bool(unit), quantity == "current_A")
             judged.append((rank, _Group(columns, quantity, scale, reason, template, unit)))
     return max(judged, key=lambda pair: pair[0])[1] if judged else None
 
@@ -395,6 +463,9 @@ def _judge_quantity(
     """Return quantity, size of the unit and the reason for a group; an empty quantity if it is neither current nor power."""
     if unit in UNITS:
         return *UNITS[unit], f"{unit.replace('w', 'W').replace('a', 'A')}, by the header"
+    if multiple := MULTIPLE.fullmatch(unit):
+        quantity, size = UNITS[multiple["unit"]]
+        return quantity, float(multiple["factor"]) * size, f"{unit}, by the header; check this"
     words, in_counts = set(re.findall(r"[a-z]+", template)), unit in COUNT_WORDS
     angles = None if in_counts else _judge_angles(table, words, unit, columns)
     if angles is not None:
@@ -431,47 +502,97 @@ def _find_times(table: TextTable) -> _Times | None:
         words = set(re.findall(r"[a-z]+", _words(column)))
         by_name = [k for k, word in enumerate(TIME_WORDS) if word in words]
         cells = table.cells[column].tolist()
-        lines = _describe_times(cells, bool(by_name))
-        if lines is not None:
+        scale = next((scale for scale in ("gps", "tai") if scale in words), "")
+        if scale:  # which may also stand after each date
+            cells = [cell.strip().removesuffix(scale.upper()).rstrip() for cell in cells]
+        lines = _describe_times(cells, words)
+        # 20260131 may be a number if no times of day stand next to it
+        is_bare = all(map(is_compact_date, cells)) and _clock_column(table, column) is None
+        if lines is not None and not is_bare:
             is_date = lines[0].startswith('time_format = "utc"')
-            scale = next((scale for scale in ("gps", "tai") if scale in words), "")
             has_zone = any(
                 re.search(r"(Z|[+-]\d\d:?\d\d)$", rewrite_date(cell)) for cell in cells[:1]
             )
             if scale and "elapsed" not in lines[0] and not (is_date and has_zone):
                 stated = f'time_format = "{scale}"'
                 lines = [_entry(stated, "by the name of the column; check this"), *lines[1:]]
+            zone = zone_of_name(column) if is_date and not has_zone and not scale else None
+            if zone is not None:
+                stated = f'time_zone = "{zone}"'
+                lines = [*lines, _entry(stated, "by the name of the column; check this")]
             # dates with times of day before dates alone, these before numbers, then UTC of samples, by the name, then the first
             rank = 2 - is_date * (2 if any(":" in cell or "T" in cell for cell in cells) else 1)
             is_other = bool(scale) or bool(words & set(RECEIVED_WORDS))
             ranked.append((rank, is_other, min(by_name, default=99), place, column, lines))
+    rank, *_, column, lines = min(ranked, default=(3, "", []))
+    if (not lines or "elapsed" in lines[0]) and (gps := _gps_weeks(table)) is not None:
+        return gps
     if not ranked:
         return None
-    rank, *_, column, lines = min(ranked)
-    if rank == 1 and (clock := _clock_column(table)) is not None:
-        return _Times(clock, column, lines)
-    return _Times(column, None, lines)
+    others: tuple[str, ...] = ()
+    if rank == 1 and (clock := _clock_column(table, column)) is not None:
+        lines = [_entry(f"date_column = {toml_string(column)}", ""), *lines]
+        column, others = clock, (column,)
+    scaled = any("time_scale_s" in line for line in lines)
+    if not scaled and (fractions := find_fractions(table, column)) is not None:
+        how = "by the name of the column" if fractions.by_name else "check this: by the size"
+        lines = [
+            *lines,
+            _entry(f"fraction_column = {toml_string(fractions.column)}", "fractions of a second"),
+            _entry(f"fraction_unit_s = {fractions.unit_s:.9g}", how),
+        ]
+        others = (*others, fractions.column)
+    return _Times(column, lines, others)
 
 
-def _clock_column(table: TextTable) -> str | None:
+def _gps_weeks(table: TextTable) -> _Times | None:
+    """Return the columns of GPS weeks and of seconds of the week by their names; None if one of them is missing."""
+    found = {}
+    for column in table.header:
+        words = set(re.findall(r"[a-z]+", _words(column)))
+        is_seconds = words & {*SECONDS_OF_WEEK_WORDS} or words >= {"of", "week"}
+        kind = "seconds" if is_seconds else "week" if words & {*WEEK_WORDS} else ""
+        if kind and _is_numeric(table, column):
+            found.setdefault(kind, column)
+    if len(found) < 2:
+        return None
+    weeks, seconds = (read_numbers(table, [found[kind]])[:, 0] for kind in ("week", "seconds"))
+    lines = [
+        _entry('time_format = "gps"', "by the names of the columns"),
+        _entry(f"week_column = {toml_string(found['week'])}", ""),
+    ]
+    if np.nanmax(seconds, initial=0.0) > WEEK_S:
+        lines.append(_entry("time_scale_s = 0.001", "ms, by the size"))
+    if np.nanmax(weeks, initial=0.0) < WEEKS_TO_ROLLOVER:
+        lines.append(_entry("gps_rollovers = 2", "check this: how often the weeks began again"))
+    return _Times(found["seconds"], lines, (found["week"],))
+
+
+def _clock_column(table: TextTable, date_column: str) -> str | None:
     """Return the first column of times of day without dates; None if there is none."""
+    compact_dates = all(map(is_compact_date, table.cells[date_column]))
     for column in table.header:
         cells = [cell.strip().lower() for cell in table.cells[column] if cell.strip()]
-        if (
-            cells
-            and np.mean([bool(TIME_OF_DAY.fullmatch(cell)) and ":" in cell for cell in cells])
-            >= READ_SHARE
-        ):
+        # times such as 091500 stand next to dates such as 20260131
+        is_named = set(re.findall(r"[a-z]+", _words(column))) & {*TIME_WORDS}
+        if not cells or column == date_column:
+            continue
+        if compact_dates and is_named and all(map(is_compact_time, cells)):
+            return column
+        are_times = [bool(TIME_OF_DAY.fullmatch(cell)) and ":" in cell for cell in cells]
+        if np.mean(are_times) >= READ_SHARE:
             return column
     return None
 
 
-def _describe_times(cells: list[str], is_named: bool) -> list[str] | None:
-    """Return the lines for a column of times; None if the cells are no times. `is_named`: the column's name says that they are."""
+def _describe_times(cells: list[str], words: set[str]) -> list[str] | None:
+    """Return the lines for a column of times; None if the cells are no times. `words`: those of the column's name."""
     filled = [cell.strip() for cell in cells if cell.strip()]
     if not filled:
         return None
     day_first = find_day_first(filled)
+    if "date" in words and all(map(is_compact_date, filled)):
+        return [_entry('time_format = "utc"', "dates; add time_zone if they are local times")]
     ordered = [rewrite_date(cell, day_first is not False) for cell in filled]
     dates = sum(parse_utc(cell) is not None for cell in ordered if not cell.isdigit())
     if dates >= READ_SHARE * len(filled):
@@ -484,22 +605,34 @@ def _describe_times(cells: list[str], is_named: bool) -> list[str] | None:
         return lines
     numbers = np.array([plain_number(cell) for cell in filled])
     known = numbers[np.isfinite(numbers)]
-    if not is_named or len(known) < READ_SHARE * len(filled):
+    if not words & {*TIME_WORDS} or words & {*YEAR_WORDS} or len(known) < READ_SHARE * len(filled):
         return None
     typical = float(np.median(known))
-    for scale, unit in ((1.0, "s"), (1e-3, "ms"), (1e-6, "us"), (1e-9, "ns")):
-        if FIRST_UNIX_S < typical * scale < LAST_UNIX_S:
-            scaled = [] if scale == 1 else [_entry(f"time_scale_s = {scale:g}", unit)]
-            return [_entry('time_format = "unix"', f"{unit} since 1970"), *scaled]
     steps = np.abs(np.diff(known))
-    if FIRST_DAY < typical < LAST_DAY and np.any(steps) and np.median(steps[steps > 0]) < MOST_DAYS:
+    in_days = np.any(steps) and np.median(steps[steps > 0]) < MOST_DAYS
+    is_mjd = "mjd" in words or (LAST_DAY <= typical < LAST_MJD and in_days)
+    if is_mjd or (FIRST_DAY < typical < LAST_DAY and in_days):
+        count, zero = "days since 1899-12-30, as in spreadsheets", "1899-12-30"
+        if is_mjd:
+            count, zero = "days of the Modified Julian Date", "1858-11-17"
         return [
-            _entry('time_format = "elapsed"', "days since 1899-12-30, as in spreadsheets"),
-            _entry('epoch_utc = "1899-12-30T00:00:00Z"', "check this: or local time"),
+            _entry('time_format = "elapsed"', count),
+            _entry(f'epoch_utc = "{zero}T00:00:00Z"', "check this: or local time"),
             _entry("time_scale_s = 86400", "days"),
             _entry("counts_leap_seconds = false", ""),
         ]
+    sizes = LONG_UNITS_S | UNITS_S
+    named_s = next((sizes[word] for word in sorted(words) if word in sizes), None)
+    units = {1.0: "s", 1e-3: "ms", 1e-6: "us", 1e-9: "ns"}
+    units |= {60.0: "minutes", 3600.0: "hours", 86_400.0: "days"}
+    is_unix = typical > FIRST_UNIX_S and (named_s is None or named_s > 1)
+    for scale in (1.0, 1e-3, 1e-6, 1e-9) if is_unix or named_s is None else (named_s,):
+        if FIRST_UNIX_S < typical * scale < LAST_UNIX_S:
+            scaled = [] if scale == 1 else [_entry(f"time_scale_s = {scale:g}", units[scale])]
+            return [_entry('time_format = "unix"', f"{units[scale]} since 1970"), *scaled]
+    scaled = [] if named_s is None else [_entry(f"time_scale_s = {named_s:g}", units[named_s])]
     return [
         _entry('time_format = "elapsed"', "the numbers are too small for dates"),
         _entry('epoch_utc = "2000-01-01T00:00:00Z"', "REPLACE by the UTC of time zero"),
+        *scaled,
     ]

@@ -55,7 +55,20 @@ SAME_WEEK_S = 6 * 3600.0
 MANY_MISDATED = 0.2
 """A group of rows with more than this share of the file is not a few damaged dates."""
 
+OVERFLOWS = (2**16, 2**24, 2**31, 2**32)
+"""Counts after which a counter of elapsed time begins again at zero."""
+
+OVERFLOW_INTERVALS = 3.0
+"""A counter has overflowed if with the added counts the row follows the one before within so many usual intervals."""
+
 NO_ZONE = "times name no zone: taken as UTC"
+ZONES = {
+    **{"cet": "+01:00", "mez": "+01:00", "cest": "+02:00", "mesz": "+02:00"},
+    **{"eet": "+02:00", "eest": "+03:00", "msk": "+03:00", "jst": "+09:00", "kst": "+09:00"},
+    **{"est": "-05:00", "edt": "-04:00", "pst": "-08:00", "pdt": "-07:00"},
+}
+"""Zones in names of columns, without those that several countries use for different ones."""
+
 NO_ZONE_RECEIVED = "received times name no zone: taken as UTC"
 
 SHOWN_BOOTS = 4
@@ -103,6 +116,16 @@ def _to_iso(text: str) -> str | None:
     except (ValueError, OverflowError):  # no such year or day
         return None
     return text
+
+
+def zone_of_name(name: str) -> str | None:
+    """Return the zone in the name of a column of times, such as "+01:00" for "Time (CET)"; None if it names none, or UTC."""
+    words = re.findall(r"[a-z]+", name.lower())
+    if offset := re.search(r"(?:utc|gmt) ?([+-])(\d{1,2})(?::?(\d\d))?(?!\d)", name.lower()):
+        hours, minutes = int(offset[2]), int(offset[3] or 0)
+        zone = f"{offset[1]}{hours:02d}:{minutes:02d}"
+        return zone if 0 < hours * 60 + minutes <= 14 * 60 else None
+    return next((ZONES[word] for word in words if word in ZONES), None)
 
 
 def _kind_of_zone(text: str) -> str | None:
@@ -239,26 +262,53 @@ def _read_elapsed(
 
     `fixed` is the epoch of the vehicle file, if it states one.
     """
-    uptime = _read_seconds(form, table, "seconds")
+    uptime, notes = _read_seconds(form, table, "seconds"), list[str]()
     if received is not None and np.isfinite(received).any():
         time, zero, epoch, notes = _date_boots(uptime, received, fixed, frames)
     elif fixed is None:
         raise TelemetryError("elapsed times need telemetry.epoch_utc in the vehicle file")
     else:
+        if form.bad_rows != "sort":
+            uptime, notes = _unwrap_uptime(form, table, uptime)
         restart = None if form.bad_rows == "sort" else find_uptime_restart(uptime, frames)
         if restart is not None and restart.sure:
             raise _restart_error(form, table, restart)
-        time, zero, epoch, notes = uptime, np.zeros(len(uptime)), fixed, []
+        time, zero, epoch = uptime, np.zeros(len(uptime)), fixed
         if restart is not None:
             at = table.row_place(restart.row)
-            notes = [
+            notes.append(
                 f"elapsed times fall by {_format_span(restart.back_s)} at {at}: taken for rows out of order; "
                 "if the clock was reset there, set receive_time_column under [telemetry]"
-            ]
+            )
     if fixed is not None:
         time, leap_notes = _apply_leap_seconds(form, uptime, zero, epoch)
         notes += leap_notes
     return time, epoch, notes
+
+
+def _unwrap_uptime(
+    form: TelemetryForm, table: TextTable, uptime: np.ndarray
+) -> tuple[np.ndarray, list[str]]:
+    """Return elapsed times (n, s) that rise across overflows of their counter, and a sentence if there are any.
+
+    A counter has overflowed if a row follows the one before at a usual interval once `OVERFLOWS` counts are added to it.
+    """
+    steps = np.diff(uptime)
+    if not (steps > 0).any() or not (steps < 0).any():
+        return uptime, []
+    usual_s = float(np.median(steps[steps > 0]))
+    for count in OVERFLOWS:
+        full_s = count * form.time_scale_s
+        new_steps = steps + full_s
+        over = (new_steps > 0) & (new_steps <= OVERFLOW_INTERVALS * usual_s)
+        # the rest must be in order: the counter would not fall otherwise
+        if over.any() and (steps[~over] >= 0).all() and uptime.min() >= 0 and uptime.max() < full_s:
+            added = full_s * np.cumsum(np.concatenate([[0], over]))
+            at = table.row_place(int(over.argmax()) + 1)
+            times = "" if over.sum() == 1 else f", {over.sum()} times in all"
+            what = f"elapsed times begin again after {count} counts at {at}{times}"
+            return uptime + added, [f"{what}: taken as an overflow of the counter"]
+    return uptime, []
 
 
 def _date_boots(
@@ -479,6 +529,10 @@ def _read_utc(form: TelemetryForm, table: TextTable) -> tuple[np.ndarray, bool, 
     notes = []
     if bare.all():
         notes = [NO_ZONE]
+        if zone := zone_of_name(form.time_column):
+            notes = [
+                f'{NO_ZONE}, but the name of column {form.time_column!r} says otherwise: set time_zone = "{zone}"'
+            ]
     elif bare.any():
         n = int(bare.sum())
         notes = [f"{'1 time names' if n == 1 else f'{n} times name'} no zone: taken as UTC"]

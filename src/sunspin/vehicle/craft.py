@@ -90,7 +90,8 @@ class TelemetryForm(Part):
     An input is sampled its entry of `offset_s` later than the time of its row, averaged over `averaged_s` about that instant.
     `receive_time_column`: the time at which a row was received, read in addition to its own time. `time_zone`: zone of times
     without one. `date_column`: dates, if the time column has times of day. `day_first`: order of day and month in dates such as
-    31/01/2026; default: as the dates of the file show it. `week_column`: GPS weeks; the time column then has seconds of the week,
+    31/01/2026; default: as the dates of the file show it. `fraction_column`: fractions of a second in units of `fraction_unit_s`,
+    if the time column has whole seconds. `week_column`: GPS weeks; the time column then has seconds of the week,
     and the week number has overflowed `gps_rollovers` times. `counts_leap_seconds`: whether elapsed times include leap seconds.
     `throttled`: if the battery is full, all readings of a sample are reduced by one unknown factor. `sample_span_s`: rows within so
     many seconds, each with some of the columns, are one sample.
@@ -135,12 +136,15 @@ class TelemetryForm(Part):
     reference_temperature_C: Number = 25.0
     throttled: StrictBool = False
     sample_span_s: Positive | None = None
+    fraction_column: Name | None = None
+    fraction_unit_s: Positive = 0.001
 
     def __post_init__(self) -> None:
         time_columns = (
             self.time_column,
             self.date_column,
             self.week_column,
+            self.fraction_column,
             self.receive_time_column,
         )
         columns = [

@@ -135,7 +135,8 @@ def rates_summary(result: Any) -> Summary:
         lines.append(f"  panel {left_out}: {why}")
     numbers |= {key: result.attrs[key] for key in ("noise", "noise_from") if key in result.attrs}
     if numbers.get("noise_from", "given") != "given":
-        size = size_text(numbers["noise"])
+        unit = str(result.attrs.get("noise_unit", ""))
+        size = f"{size_text(numbers['noise'])} {unit or '(in the unit of the readings)'}"
         lines.append(f"  error of panel readings: {size} (median), {numbers['noise_from']}")
     lines += _unseen_column_lines(result, passes)
     in_passes = result.sizes["time"]
