@@ -23,7 +23,9 @@ from sunspin.estimate.terms.torques import (
     ConstantTorque,
     GravityTorque,
     MagneticTorque,
+    Ramp,
     StatedDipole,
+    WheelChange,
 )
 from sunspin.solve.rotations import rotate_attitude, rotation_between
 from sunspin.telemetry.assess import assess
@@ -299,6 +301,56 @@ def test_a_constant_torque_pushes_as_an_integration_with_it_does(frame):
         turn = rotation_between(free[0], pushed[0])
         change = np.concatenate([turn, pushed[1] - free[1]]) / size
         assert np.allclose(push[:, axis], change, rtol=0.03, atol=0.03 * np.abs(change).max())
+
+
+def test_a_wheel_that_changes_its_speed_turns_the_body_as_an_integration_does():
+    """Along a ramp within the interval, and by each error of the ramp and of the momentum at the knots."""
+    inertia, dt, size = np.diag([1.2, 1.0, 0.8]), 8.0, 1e-6
+    axis, omega = np.array([0.0, 0.6, 0.8]), np.array([0.03, -0.02, 0.05])
+    h = np.array([0.0, 0.01, 0.0])
+    t_s, ramp = np.array([0.0, dt]), Ramp(2.0, 6.0, size)
+    momentum = h + np.outer(ramp.change(t_s), axis)
+    wheel = WheelChange(t_s, axis, ramp, 1.0, inertia, momentum)
+    seen = States(np.tile(np.eye(3), (1, 2, 1, 1)), np.tile(omega, (1, 2, 1)))
+
+    def end(lost):
+        """Return attitude and rate after dt if the wheel's momentum has grown by lost(t), by another integrator."""
+
+        def change(t, y):
+            total, turned = y[:3], y[3:].reshape(3, 3)
+            rate = np.linalg.solve(inertia, total - h - lost(t) * axis)
+            turning = -np.cross(rate, turned, axisb=0, axisc=0)
+            return np.concatenate([np.cross(total, rate), turning.ravel()])
+
+        start = np.concatenate([omega @ inertia + h + lost(0.0) * axis, np.eye(3).ravel()])
+        run = solve_ivp(
+            change, (0, dt), start, method="DOP853", rtol=1e-12, atol=1e-14, max_step=0.5
+        )
+        total, turned = run.y[:3, -1], run.y[3:, -1].reshape(3, 3)
+        return turned, np.linalg.solve(inertia, total - h - lost(dt) * axis)
+
+    def difference(lost, before):
+        first, second = end(before), end(lost)
+        return np.concatenate([rotation_between(first[0], second[0]), second[1] - first[1]])
+
+    def straight(t):
+        return size * t / dt
+
+    known = wheel.added_by_torque(seen, np.array([dt]))[0, 0]
+    exact = difference(lambda t: ramp.change(t), straight)
+    # a ramp in the middle is even about it
+    assert np.abs(known).max() < 1e-12 and np.abs(exact).max() < 0.1 * size
+    late = replace(wheel, ramp=Ramp(5.0, 7.0, size))
+    known = late.added_by_torque(seen, np.array([dt]))[0, 0]
+    exact = difference(lambda t: late.ramp.change(t), straight)
+    # the body turns by 0.5 rad in the interval; to first order in that
+    assert np.allclose(known[:3], exact[:3], atol=0.15 * np.abs(exact[:3]).max())
+
+    by_errors = wheel.added_by_unknowns(seen, np.array([dt]))[0, 0]
+    longer = difference(lambda t: 1.1 * ramp.change(t), ramp.change) / 0.1
+    assert np.allclose(by_errors[:, 0], longer, atol=0.05 * np.abs(longer).max())
+    later = difference(lambda t: Ramp(2.0, 6.1, size).change(t), ramp.change) / 0.1
+    assert np.allclose(by_errors[:3, 2], later[:3], atol=0.15 * np.abs(later[:3]).max())
 
 
 def test_opposite_panels_see_sun_and_earth_as_one_vector():

@@ -17,8 +17,9 @@ from sunspin.estimate.observe import COASTING, HELD, take_samples, wheel_models
 from sunspin.estimate.rates import rates
 from sunspin.estimate.wheels import WRAPPED_RAD, momentum_of_each, reversed_momenta
 from sunspin.vehicle import Friction
-from tests.support.passes import tumbling_pass
+from tests.support.passes import estimate, tumbling_pass
 from tests.support.simulate import CUBE_WITHOUT_NOISE_STATED, pulls
+from validation.passes import make
 
 ONE_PASS, WHEELS, RATES, OBSERVE = (
     import_module(f"sunspin.estimate.{name}") for name in ("one_pass", "wheels", "rates", "observe")
@@ -170,3 +171,18 @@ def test_a_wheel_of_the_right_sign_is_not_accused(seen):
     unseen = [one["what"] for one in json.loads(result.attrs["columns_unseen"])]
     assert unseen == ["the columns of panels +y and -y exchanged"]
     assert result["columns_checked"].values[0] == "unchecked"
+
+
+@pytest.mark.parametrize("seed", [11, 51])
+def test_rates_are_right_after_a_wheel_is_braked_and_the_change_is_named(seed):
+    """Without the changed momentum, passes were decided and 20 to 50 sigma off after the wheel was braked."""
+    simulated = make("wheel braked", seed, 4)
+    result = estimate(simulated)
+    off, covariance = result["omega_B"].values - simulated.omega, result["omega_cov_B"].values
+    sigmas = np.abs(off) / np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))
+    assert result["decided"].values.all() and sigmas.max() < 4.5
+    assert np.degrees(np.abs(off[-1]).max()) < 0.2
+    change, verdict = result.attrs["wheel_change"], result.attrs["verdict"]
+    assert (
+        "wheel: speed changed by about" in change and f"({change}), which the file does" in verdict
+    )

@@ -161,9 +161,17 @@ def _size_of_step(model: Model, motion: Track, interval: int) -> float:
     noise = replace(model.noise, steps=(*model.noise.steps, (interval, widest)))
     with_free_step = replace(model, noise=noise)
     fitted = fit(with_free_step, motion, steps=6).motions
-    defect = defects(with_free_step, fitted)
-    change = defect.unwhitened(defect.value)[0, interval, RATE]
+    change = changes_of_rate(with_free_step, fitted)[interval]
     return float(np.clip(np.linalg.norm(change) / np.sqrt(3), LEAST_STEP * widest, widest))
+
+
+def changes_of_rate(model: Model, motion: Track) -> np.ndarray:
+    """Return by how much the rate at the end of each interval differs from the one that the equations of motion give there.
+
+    The motion has K = 1. The result (n - 1, 3) is in rad/s and body axes.
+    """
+    defect = defects(model, motion)
+    return defect.unwhitened(defect.value)[0, :, RATE]
 
 
 def _with_steps(nominal: Model, steps: tuple[tuple[int, float], ...], price: float) -> Model:

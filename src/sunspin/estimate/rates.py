@@ -21,6 +21,7 @@ from sunspin.environment import Environment
 from sunspin.environment.orbit import Orbit, SunAlongZ
 from sunspin.estimate.between import link_passes
 from sunspin.estimate.budget import USUAL, Budget
+from sunspin.estimate.changed_wheel import changed_wheel
 from sunspin.estimate.columns import check_columns, cost_of_silent_panels
 from sunspin.estimate.equivalence import wheel_changes
 from sunspin.estimate.evidence import PassFits, share_noise
@@ -239,6 +240,7 @@ def rates(
         | pass_attrs
         | {
             "wheels": fitted.wheels,
+            "wheel_change": fitted.wheel_change,
             "effort": float(sum(pass_fits.used for pass_fits in fits)) / (USUAL * len(fits)),
             "samples_searched": kept,
             "times_rounded_to_s": float(readings.obs.time_sigma_s * np.sqrt(12)),
@@ -254,12 +256,14 @@ def rates(
 class FittedPasses(NamedTuple):
     """The fits of all passes of a file.
 
-    `nominal`: the nominal model of the whole file, with the momentum of the wheels; `wheels`: what these do, in words. `fits`: of
-    each pass. `doubt`: wheels that may turn the other way, None if there are none.
+    `nominal`: the nominal model of the whole file, with the momentum of the wheels. In words: `wheels`, what these do, and
+    `wheel_change`, how the speed of one changes in a pass. `fits`: of each pass. `doubt`: wheels that may turn the other way, None
+    if there are none.
     """
 
     nominal: Model
     wheels: str
+    wheel_change: str
     fits: list[PassFits]
     doubt: Reversed | None
 
@@ -294,9 +298,16 @@ def fit_passes(
         new_fits = PassBar(new_fits, "rates", len(unfitted), leave=False, unit="pass")
     fits_by_pass = wheels.fits | dict(zip(unfitted, new_fits, strict=True))
     fits = [fits_by_pass[k] for k in range(len(passes))]
+    change = ""
+    vehicle = assessment.vehicle
+    speeds_known = "wheel_speed_rad_s" in assessment.telemetry or vehicle.inertia_kg_m2 is None
+    if vehicle.wheels and not speeds_known:
+        changed = changed_wheel(vehicle, nominal, passes, fits, fitter)
+        if changed is not None:
+            nominal, fits, change = changed.nominal, changed.fits, changed.change.words(vehicle)
     compared = [(passes[k], fits[k]) for k in longest_passes(passes)]
     doubt = doubted_signs(nominal.obs, compared, *searches, fitter)
-    return FittedPasses(nominal, wheels.words, fits, doubt)
+    return FittedPasses(nominal, wheels.words, change, fits, doubt)
 
 
 def solve_passes(

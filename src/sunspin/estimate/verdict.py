@@ -425,6 +425,11 @@ def rates_words(result: xr.Dataset) -> str:
             f"WHEEL SPEED UNKNOWN ({wheels}): assumed 0, so the solution may be wrong. Give speed_rad_s or a speed_column, or "
             "remove the wheel if it is at rest"
         )
+    if attrs["wheel_change"]:
+        notes.append(
+            f"a wheel changed its speed in a pass ({attrs['wheel_change']}), which the file does not state: give a speed_column if "
+            "its speed is measured"
+        )
     late, sigma = attrs["sensors_late_s"], attrs["sensors_late_sigma_s"]
     if np.isfinite(late):
         notes.append(

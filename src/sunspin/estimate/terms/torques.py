@@ -26,6 +26,15 @@ WORDS: dict[Frame, str] = {"B": "body axes", "N": "axes fixed in space"}
 QUADRATURE = np.polynomial.legendre.leggauss(5)
 """Nodes in [-1, 1] and weights of Gauss's quadrature over an interval, for bodies that rotate by less than a revolution in it."""
 
+RAMP_SIGMAS, RAMP_DIFFERENCE = 2.0, 1e-3
+"""Errors of a wheel's change, in sigmas: the largest ones in a fit, and the difference for derivatives."""
+
+SHORTEST_RAMP_S = 0.5
+"""A wheel takes at least so long to change its speed."""
+
+UNEVEN, KNOTS = 0.3, 4
+"""The momentum of a wheel may deviate from its ramp by this part of the change (one sigma), independently at so many times."""
+
 SERIES_TERMS = 12
 """Number of terms of the exponential series. Its remainder is 1e-14 for matrices with a norm of a half."""
 
@@ -75,31 +84,143 @@ class ConstantTorque(Term):
         )
 
     def added_by_unknowns(self, states: States, dt: np.ndarray) -> np.ndarray:
-        """Return turn and rate (K, n - 1, 6, 3) that one sigma of each component adds in the intervals dt (n - 1).
-
-        Small deviations of turn t and rate r from a motion, in body axes, under a torque T, follow linear equations in the time s:
-
-            dt/ds = -w x t + r;  I dr/ds = (I w + h) x r - w x (I r) + T;  dT/ds = 0, or -w x T for one constant in space.
-
-        Here w is the mean rate of the interval, I the inertia, h the momentum of the wheels. The matrix of this system is constant.
-        Its exponential gives t and r at the end of the interval for each T at its start.
-        """
-        # places of t, r and T in the vector of the system
-        turn, rate, torque = slice(0, 3), slice(3, 6), slice(6, 9)
-        omega = (states.omega[:, :-1] + states.omega[:, 1:]) / 2
-        omega_cross = cross_matrix(omega)
-        inverse = np.linalg.inv(self.inertia)
-        momentum = omega @ self.inertia + (self.momentum[:-1] + self.momentum[1:]) / 2
-        system = np.zeros((*omega.shape[:2], 9, 9))
-        system[..., turn, turn] = -omega_cross
-        system[..., turn, rate] = np.eye(3)
-        system[..., rate, rate] = inverse @ (cross_matrix(momentum) - omega_cross @ self.inertia)
-        system[..., rate, torque] = inverse
-        if self.frame == "N":
-            system[..., torque, torque] = -omega_cross
-        added = self.sigma * exponential(system * dt[:, None, None])[..., :6, torque]
+        """Return turn and rate (K, n - 1, 6, 3) that one sigma of each component adds in the intervals dt (n - 1)."""
+        added = added_by_torques(states, dt, self.inertia, self.momentum, self.frame)
         # unknowns in N: the attitude gives the torque in body axes at the start of the interval
-        return added if self.frame == "B" else added @ states.attitude[:, :-1]
+        return self.sigma * (added if self.frame == "B" else added @ states.attitude[:, :-1])
+
+
+@dataclass(frozen=True)
+class Ramp:
+    """A quantity that changes linearly by `size` from the time `begin_s` to `end_s`, and back at once at `until_s` (s)."""
+
+    begin_s: float
+    end_s: float
+    size: float
+    until_s: float = np.inf
+
+    def done(self, t_s: np.ndarray) -> np.ndarray:
+        """Return the part of the change (n), from 0 to 1, that is done at times (n)."""
+        done = np.clip((t_s - self.begin_s) / (self.end_s - self.begin_s), 0.0, 1.0)
+        return np.where(t_s > self.until_s, 0.0, done)
+
+    def change(self, t_s: np.ndarray) -> np.ndarray:
+        """Return the change (n) at times (n)."""
+        return self.size * self.done(t_s)
+
+    def integral(self, t_s: np.ndarray) -> np.ndarray:
+        """Return the integral (n) of the change up to times (n), none of which is after `until_s`."""
+        of_ramp = (self.end_s - self.begin_s) / 2 * self.done(t_s) ** 2
+        return self.size * (of_ramp + np.maximum(t_s - self.end_s, 0.0))
+
+
+@dataclass(frozen=True)
+class WheelChange(Term):
+    """The torque of a wheel whose momentum changes along a ramp with errors, on a command to its motor or brake.
+
+    The body gains what the wheel loses. The momentum that is left in the wheel turns the rate of the body at another frequency.
+
+    `t_s` (n): times of the samples; `axis_B` (3): axis of the wheel; `ramp`: the change that is assumed, in mean moments times
+    rad/s; `time_sigma_s`: sigma of its begin and of its end, zero in a search. `inertia` (3, 3) in mean moments; `momentum` (n, 3):
+    of all wheels at the samples, with the assumed change.
+    """
+
+    name: ClassVar[str] = "wheel_change"
+    label: ClassVar[str] = "wheel"
+    per_sample: ClassVar[tuple[str, ...]] = ("t_s", "momentum")
+
+    t_s: np.ndarray
+    axis_B: np.ndarray
+    ramp: Ramp
+    time_sigma_s: float
+    inertia: np.ndarray
+    momentum: np.ndarray
+
+    def for_search(self) -> list[WheelChange]:
+        """Return the wheel with exactly the assumed change, as a search allows strong unknown torques anyway."""
+        return [replace(self, time_sigma_s=0.0)]
+
+    def unknowns(self) -> tuple[Unknown, ...]:
+        """Return the errors of size, begin and end of the ramp, then those of the momentum at the knots (:meth:`_at_knots`)."""
+        if not self.time_sigma_s:
+            return ()
+        size = abs(self.ramp.size)
+        units_and_sigmas = [
+            ("rad/s", size),
+            ("s", self.time_sigma_s),
+            ("s", self.time_sigma_s),
+            *[("rad/s", UNEVEN * size)] * KNOTS,
+        ]
+        return tuple(
+            Unknown(f"wheel_change_{i}", "wheel_change", unit, 0.0, sigma, i, RAMP_SIGMAS)
+            for i, (unit, sigma) in enumerate(units_and_sigmas)
+        )
+
+    def with_errors(self, u: np.ndarray) -> Ramp:
+        """Return the ramp with errors u (3), in sigmas, of its size, begin and end."""
+        size = self.ramp.size + abs(self.ramp.size) * float(u[0])
+        begin_s = self.ramp.begin_s + self.time_sigma_s * float(u[1])
+        end_s = self.ramp.end_s + self.time_sigma_s * float(u[2])
+        return Ramp(begin_s, max(end_s, begin_s + SHORTEST_RAMP_S), size, self.ramp.until_s)
+
+    def added_by_unknowns(self, states: States, dt: np.ndarray) -> np.ndarray | None:
+        """Return turn and rate (K, n - 1, 6, m) that one sigma of each error adds in the intervals dt (n - 1).
+
+        A momentum p along the axis a exerts the torque -dp/dt a - w x p a on a body with the rate w; its mean in an interval acts.
+        """
+        if not self.time_sigma_s:
+            return None
+        # momentum (n, 3) at the samples by one sigma of each error of the ramp, and what its integral has beyond the trapezoids
+        ramps = [self.with_errors(u) for u in RAMP_DIFFERENCE * np.eye(3)]
+        before = self.ramp.change(self.t_s), self._beyond_trapezoid(self.ramp)
+        momentum = np.stack([ramp.change(self.t_s) - before[0] for ramp in ramps], axis=1)
+        beyond = np.stack([self._beyond_trapezoid(ramp) - before[1] for ramp in ramps], axis=1)
+        momentum, beyond = momentum / RAMP_DIFFERENCE, beyond / RAMP_DIFFERENCE
+
+        at_knots = self._at_knots()
+        momentum = np.concatenate([momentum, at_knots], axis=1)
+        beyond = np.concatenate([beyond, np.zeros_like(at_knots[1:])], axis=1)
+        omega = (states.omega[:, :-1] + states.omega[:, 1:]) / 2
+        mean, change = (momentum[:-1] + momentum[1:]) / 2, np.diff(momentum, axis=0) / dt[:, None]
+        torque = -self.axis_B[:, None] * change[:, None]
+        torque = torque - cross(omega, self.axis_B)[..., None] * mean[:, None]
+        added = added_by_torques(states, dt, self.inertia, self.momentum, "B") @ torque
+        added[..., :3, :] += self._turned_by(states, dt)[..., None] * beyond[:, None]
+        return added
+
+    def added_by_torque(self, states: States, dt: np.ndarray) -> np.ndarray:
+        """Return turn and rate (K, n - 1, 6) that the assumed ramp adds where it begins or ends within an interval.
+
+        Motions are propagated with a momentum of the wheels that is linear between samples.
+        """
+        turn = self._turned_by(states, dt) * self._beyond_trapezoid(self.ramp)[:, None]
+        return np.concatenate([turn, np.zeros_like(turn)], axis=-1)
+
+    def _turned_by(self, states: States, dt: np.ndarray) -> np.ndarray:
+        """Return the turn (K, n - 1, 3) at the end of each interval by a unit integral of the momentum in the middle of it."""
+        turn = -np.linalg.solve(self.inertia, self.axis_B)
+        half = states.omega[:, :-1] * dt[:, None] / 2
+        return rotate_attitude(np.broadcast_to(np.eye(3), (*half.shape, 3)), half) @ turn
+
+    def _at_knots(self) -> np.ndarray:
+        """Return the momentum (n, `KNOTS`) at the samples by one sigma of its error at each of several times about the ramp.
+
+        The ramp need not be straight. Without these errors the rate at samples within it was up to 16 sigma off.
+        """
+        margin_s = self.time_sigma_s / 2
+        first_s, last_s = self.ramp.begin_s - margin_s, self.ramp.end_s + margin_s
+        knots_s = np.linspace(first_s, last_s, KNOTS + 2)
+        hats = [np.interp(self.t_s, knots_s, hat) for hat in np.eye(KNOTS + 2)[1:-1]]
+        return UNEVEN * abs(self.ramp.size) * np.stack(hats, axis=1)
+
+    def _beyond_trapezoid(self, ramp: Ramp) -> np.ndarray:
+        """Return the integral (n - 1) of a ramp over each interval, less that of a change that is linear in the interval."""
+        change = ramp.change(self.t_s)
+        trapezoid = np.diff(self.t_s) * (change[:-1] + change[1:]) / 2
+        # zero again at the end of a pass, hence in all later ones
+        return np.where(
+            self.t_s[1:] > ramp.until_s, 0.0, np.diff(ramp.integral(self.t_s)) - trapezoid
+        )
 
 
 @dataclass(frozen=True)
@@ -173,6 +294,35 @@ class MagneticTorque(Term):
             for_rate = -cross_matrix(np.einsum("knij,nj->kni", even, (first + last) / 2))
         span = dt[:, None, None]
         return size * np.concatenate([span**2 / 2 * for_turn, span * for_rate], axis=2)
+
+
+def added_by_torques(
+    states: States, dt: np.ndarray, inertia: np.ndarray, momentum: np.ndarray, frame: Frame
+) -> np.ndarray:
+    """Return turn and rate (K, n - 1, 6, 3) that a unit torque along each body axis adds in the intervals dt (n - 1), s.
+
+    The torque is constant in the axes `frame`; the body axes are those at the start of the interval. Small deviations of turn t and
+    rate r from a motion, in body axes, under a torque T, follow linear equations in the time s:
+
+        dt/ds = -w x t + r;  I dr/ds = (I w + h) x r - w x (I r) + T;  dT/ds = 0, or -w x T for one constant in space.
+
+    Here w is the mean rate of the interval, I the inertia (3, 3), h the `momentum` (n, 3) of the wheels. The matrix of this system
+    is constant. Its exponential gives t and r at the end of the interval for each T at its start.
+    """
+    # places of t, r and T in the vector of the system
+    turn, rate, torque = slice(0, 3), slice(3, 6), slice(6, 9)
+    omega = (states.omega[:, :-1] + states.omega[:, 1:]) / 2
+    omega_cross = cross_matrix(omega)
+    inverse = np.linalg.inv(inertia)
+    total = omega @ inertia + (momentum[:-1] + momentum[1:]) / 2
+    system = np.zeros((*omega.shape[:2], 9, 9))
+    system[..., turn, turn] = -omega_cross
+    system[..., turn, rate] = np.eye(3)
+    system[..., rate, rate] = inverse @ (cross_matrix(total) - omega_cross @ inertia)
+    system[..., rate, torque] = inverse
+    if frame == "N":
+        system[..., torque, torque] = -omega_cross
+    return exponential(system * dt[:, None, None])[..., :6, torque]
 
 
 def averaged_attitudes(states: States, dt: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
