@@ -18,7 +18,8 @@ from sunspin.estimate.orbit.readings import EARTH_RAD, orbit_readings
 from sunspin.estimate.settings import ORBIT
 from sunspin.telemetry.assess import assess
 from sunspin.vehicle.parts import StatedOrbit
-from tests.support.orbit_cases import check_case
+from tests.support.orbit_cases import WRONG_DEG, check_case
+from tests.support.orbit_cases import orbit_of as drawn_orbit
 from tests.support.orbits import with_node_turned
 from tests.support.vehicles import units
 from validation.spinners import AS_MOUNTED, Case, make
@@ -226,11 +227,24 @@ def test_rotated_axes_are_named_and_calibrated(folder):
     assert not check_orbit(right, mounted.vehicle, mounted, settings=FEW).turned_axes
 
 
+def test_a_node_off_by_20_degrees_is_not_accepted_by_few_samples():
+    """Its residuals were 1.27 times those of another node, and the elements were accepted."""
+    vehicle, data, elements, about = check_case(51, 5)
+    for by_deg, verdict in ((0.0, Verdict.FITS), (WRONG_DEG, Verdict.UNDECIDED)):
+        orbit = drawn_orbit(elements, data, about, by_deg)
+        assert check_orbit(orbit, vehicle, data, seed=5).verdict is verdict
+
+
 def test_elements_that_the_angle_to_the_sun_contradicts_do_not_fit(folder, monkeypatch):
     assessment, right, *_ = spinner(folder, number=3)
     readings = orbit_readings(assessment, ORBIT.samples)
     rng, seen = np.random.default_rng(0), np.flatnonzero(readings.has_angle)
-    for count, verdict in ((len(seen), Verdict.UNDECIDED), (FEWEST - 1, Verdict.FITS)):
+    few = orbit_check.FEW_ANGLES
+    for count, verdict in (
+        (len(seen), Verdict.UNDECIDED),
+        (few, Verdict.UNDECIDED),
+        (few - 1, Verdict.FITS),
+    ):
         sun = np.full_like(readings.sun, np.nan)
         sun[seen[:count]] = units(rng.normal(size=(count, 3)))
         scrambled = readings._replace(sun=sun)

@@ -49,16 +49,18 @@ def better_axes(readings: Readings, predicted: Predicted, vehicle: Vehicle) -> C
     return changes[best] if residuals[best] < limit else None
 
 
-def contradicted(readings: Readings, predicted: Predicted, calibration: np.ndarray) -> bool:
+def contradicted(
+    readings: Readings, predicted: Predicted, calibration: np.ndarray, fewest: int = FEWEST
+) -> bool:
     """Return whether the angle between field and Sun differs from the prediction, in the median over the samples.
 
-    The allowed difference includes the stated errors of the Sun directions. False with fewer than `FEWEST` samples that show the
+    The allowed difference includes the stated errors of the Sun directions. False with fewer than `fewest` samples that show the
     angle. `predicted`: at its first offset. `calibration` (12): matrix and zero of the magnetometer.
     """
     field = calibrated_field(readings.field, calibration)
     difference = np.abs(field_sun_angles(field, readings.sun) - predicted.angles())
     known = np.isfinite(difference)
-    if known.sum() < FEWEST:
+    if known.sum() < fewest:
         return False
     # of each direction about an axis across it: the covariance has two such axes
     sun_sigma = np.sqrt(np.trace(readings.covariance[known], axis1=1, axis2=2) / 2)

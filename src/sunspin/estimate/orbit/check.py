@@ -164,6 +164,7 @@ def check_orbit(
         answer = _with_magnetometer(answer, comparison, at_best, calibration, lowest)
         if not readings.has_angle.any() and every.has_angle.any():
             answer = _with_few_angles(answer, replace(comparison, readings=every), at_best)
+    verdict = answer.verdict
     if change is not None and answer.matrix is not None and verdict is not Verdict.REFUSED:
         words = axes_words(change, assessment)
         answer = replace(answer, matrix=answer.matrix @ change.axes["field_B"], turned_axes=words)
@@ -196,7 +197,12 @@ def _verdict(
         return Verdict.UNDECIDED
     if rank.better > settings.better or rank.node_factor > settings.times:
         return Verdict.REFUSED
-    return Verdict.UNDECIDED if angle_is_off else Verdict.FITS
+    doubtful = angle_is_off or rank.node_factor > settings.times_undecided
+    return Verdict.UNDECIDED if doubtful else Verdict.FITS
+
+
+FEW_ANGLES = 5
+"""With fewer angles between field and Sun these do not count against an orbit."""
 
 
 @dataclass(frozen=True)
@@ -402,17 +408,22 @@ def _with_magnetometer(
 
 
 def _with_few_angles(answer: OrbitCheck, comparison: Comparison, at: Predicted) -> OrbitCheck:
-    """Return the answer with the residual of angles that are too few to judge an orbit, and with the sign that they show.
+    """Return the answer with the residual of angles that are too few to refuse an orbit, and with the sign that they show.
 
-    `comparison`: with all readings, angles included; `at`: predictions at the best offset.
+    An orbit that fits is undecided if they are far off: with a clock that was an hour late the strengths of 45 samples fitted, and
+    14 angles were off by 67 degrees. `comparison`: with all readings, angles included; `at`: predictions at the best offset.
     """
     readings = comparison.readings
     own = fit_at_offsets(readings, at, np.zeros(1))
     limit = own.cost[0] - comparison.settings.clearly
     opposite_is_better = comparison.cost_of_opposite_field(at) < limit
     field = calibrated_field(readings.field, own.calibration[0])
+    verdict = answer.verdict
+    if verdict is Verdict.FITS and contradicted(readings, at, own.calibration[0], FEW_ANGLES):
+        verdict = Verdict.UNDECIDED
     return replace(
         answer,
+        verdict=verdict,
         angle_residual_rad=median_residuals(field, readings.sun, at)[1],
         sign_turned=bool(opposite_is_better) and answer.verdict is not Verdict.REFUSED,
         samples=_counts(readings),
