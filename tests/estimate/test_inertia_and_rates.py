@@ -95,6 +95,7 @@ def test_a_small_nutation_is_not_taken_for_uniform_rotation():
     assert found["decided"].values[0] and (np.abs(omega - truth) < 3 * sigma).all()
 
 
+@pytest.mark.slow
 def test_a_long_body_over_its_middle_axis_is_decided_with_its_inertia_off_by_a_sigma():
     """With the inertia held the search leaves the truth within a few turns, also under strong torques; nothing fits then."""
     t_s = 30.0 * np.arange(23)

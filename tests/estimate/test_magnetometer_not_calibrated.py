@@ -95,7 +95,7 @@ def test_a_magnetometer_fits_with_the_zero_that_the_alternative_estimates(uncali
     )
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_a_pass_with_an_uncalibrated_magnetometer_is_decided_and_right(uncalibrated):
     """With its readings believed it was decided 7.7 sigma off."""
     vehicle, telemetry, truth = uncalibrated

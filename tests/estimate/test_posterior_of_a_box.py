@@ -100,6 +100,7 @@ def test_a_torque_that_the_file_lacks_is_found_and_named():
     assert np.all(np.abs(steady.mean(axis=0) - expected) < 4 * steady.std(axis=0))
 
 
+@pytest.mark.slow
 def test_the_posterior_takes_samples_that_are_off_in_time():
     """Times off by 2 s, a tenth of a radian: taken for exact they look like noise; stated, the truth is within its sigmas."""
     off_s = 2.0 * np.random.default_rng(5).standard_normal(len(BOX_T_S) - 1)

@@ -26,12 +26,11 @@ SMOKE = (
     "tests/dynamics/test_propagate.py",
     "tests/dynamics/test_impact.py",
     "tests/estimate/test_metrics.py",
-    "tests/cli/test_cli_system.py",
 )
 """One file of each layer that compiles no kernel."""
 
-KERNELS = "tests/cli/test_simulate.py"
-"""On the newest version alone, of which the compiler is the last to know."""
+NEWEST = ("tests/cli/test_cli_system.py", "tests/cli/test_simulate.py")
+"""On the newest version alone: commands, a minute, and the compiler, which is the last to know a version."""
 
 
 def interpreter(version: str) -> str | None:
@@ -78,7 +77,7 @@ def main() -> int:
             continue
         print(f"Python {version}: {program}", flush=True)
         python = environment(program, version)
-        files = [*SMOKE, KERNELS] if version == VERSIONS[-1] else SMOKE
+        files = [*SMOKE, *NEWEST] if version == VERSIONS[-1] else SMOKE
         pytest = [python, "-m", "pytest", "-q", "-p", "no:cacheprovider"]
         done = subprocess.run([*pytest, *files], cwd=ROOT)
         failed += [version] if done.returncode else []

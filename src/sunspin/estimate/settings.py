@@ -398,7 +398,7 @@ class OrbitSettings:
 
     times_undecided: float = 1.15
     """They are not decided if another node does so by this factor: of 60 simulated satellites it was at most 1.08 with the right
-    node, and at least 1.27 with one that is off by 20 degrees."""
+    node, and at least 1.18 with one that is off by 20 degrees."""
 
     mistaken: float = 0.2
     """If more comparison orbits than this are expected to win by chance against right elements, the data cannot rank orbits."""
