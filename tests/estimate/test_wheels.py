@@ -175,7 +175,7 @@ def test_a_wheel_of_the_right_sign_is_not_accused(seen):
 
 @pytest.mark.parametrize("seed", [11, 51])
 def test_rates_are_right_after_a_wheel_is_braked_and_the_change_is_named(seed):
-    """Without the changed momentum, passes were decided and 20 to 50 sigma off after the wheel was braked."""
+    """Without the changed momentum, passes were decided and 19 to 50 sigma off after the wheel was braked."""
     simulated = make("wheel braked", seed, 4)
     result = estimate(simulated)
     off, covariance = result["omega_B"].values - simulated.omega, result["omega_cov_B"].values

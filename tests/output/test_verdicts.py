@@ -36,6 +36,7 @@ WARNINGS = {
     "NOT CONSTRAINED (result equals the prior)": "not-constrained",
     "1 pass: SEARCH STOPPED at the computing budget": "incomplete-search",
     "WHEEL SPEED UNKNOWN (reaction-y): assumed 0": "wheel-speed-unknown",
+    "a wheel changed its speed in a pass (y: speed changed": "a-wheel-changed-its-speed",
     "the search assumed a sphere, GIVE ITS INERTIA (inertia_kg_m2)": "give-its-inertia",
     "  WRONG UNIT: readings are thousandths": "messages-of-check",
     "  WRONG AXES: ": "messages-of-check",

@@ -1,8 +1,8 @@
 """A wheel that changes its speed within a pass, braked or driven by a command that the vehicle file does not state.
 
 The body takes up the momentum that the wheel loses, which looks like a step of the rate along the wheel's axis. The momentum that
-is left in the wheel then turns the rate of the body at another frequency. With the momentum of the file, 8 of 16 simulated passes
-with a braked wheel were decided, right until the wheel was braked, and 20 to 50 sigma off at some sample after it.
+is left in the wheel then turns the rate of the body at another frequency. With the momentum of the file, 6 of 16 decided
+passes with a braked wheel were right until the wheel was braked, and 19 to 50 sigma off at some sample after it.
 """
 
 from __future__ import annotations

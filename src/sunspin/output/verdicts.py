@@ -36,6 +36,7 @@ ANCHORS = {
     ),
     "not-sure": ("not sure:",),
     "wheel-speed-unknown": ("WHEEL SPEED UNKNOWN",),
+    "a-wheel-changed-its-speed": ("a wheel changed its speed",),
     "give-its-inertia": ("GIVE ITS INERTIA",),
     "messages-of-check": (
         *("WRONG UNIT", "WRONG AXES", "WEAK PANEL", "NOISE NOT STATED", "no signal in any sample"),
