@@ -25,6 +25,9 @@ from sunspin.vehicle import Vehicle
 SURELY = 20.0
 """Growth of the log evidence by a change of a wheel after which no other change is tried."""
 
+MOST_WHEELS = 2
+"""At each step so many wheels are tried, those whose axes are nearest to it."""
+
 TIME_SIGMA = 2.0
 """Sigma of the times at which a change begins and ends, in usual intervals between samples."""
 
@@ -130,7 +133,7 @@ def sudden_changes(vehicle: Vehicle, fits: PassFits, strong: float) -> Iterator[
     """Yield the changes of wheels that may have caused steps of the rate in the most probable motion of a pass.
 
     Without steps, but under torques of the strength `strong` (rad/s^1.5) or more, these are the two intervals in which the motion
-    violates the equations of motion most.
+    violates the equations of motion most. Of many wheels the two are tried whose axes are nearest to the step.
     """
     best = best_fit(fits.fits)
     t_s, inertia = best.model.obs.t_s, best.model.body.inertia
@@ -142,9 +145,9 @@ def sudden_changes(vehicle: Vehicle, fits: PassFits, strong: float) -> Iterator[
         gained = inertia @ violations[interval]
         # it may begin an interval before that of the step, and end one after it
         begin_s, end_s = t_s[max(interval - 1, 0)], t_s[min(interval + 2, len(t_s) - 1)]
-        for number, wheel in enumerate(vehicle.wheels):
-            along = float(np.asarray(wheel.axis_B) @ gained)
-            yield Change(number, Ramp(float(begin_s), float(end_s), -along))
+        along = np.array([wheel.axis_B for wheel in vehicle.wheels]) @ gained
+        for number in np.argsort(-np.abs(along))[:MOST_WHEELS].tolist():
+            yield Change(number, Ramp(float(begin_s), float(end_s), -float(along[number])))
 
 
 def refined(
