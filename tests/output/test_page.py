@@ -148,6 +148,16 @@ def test_the_attitude_on_the_page_is_the_stored_one(user_runs):
     assert f"{speed:.3g} deg/s, wheel 300 rad/s" in label
 
 
+def test_the_page_shows_no_wheel_speed_that_a_pass_denies(user_runs):
+    results = read_results(user_runs["rates"])
+    assert "wheel_speed_rad_s" in read_motions(results)[0][1]
+    changed = results.data["rates"].assign_attrs(
+        wheel_change="wheel: speed changed by about 9 rad/s"
+    )
+    denied = replace(results, data=results.data | {"rates": changed})
+    assert "wheel_speed_rad_s" not in read_motions(denied)[0][1]
+
+
 def test_the_page_shows_fast_motions_in_part_and_motions_at_rest_whole():
     """No two frames are a third of a radian apart, whatever the rate; a body that does not turn has frames too."""
     for rate in (0.0, 0.01, 3.0):

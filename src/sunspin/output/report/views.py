@@ -65,7 +65,8 @@ def read_motions(results: Results) -> Motions:
         total += data.sizes["pass_id"]
         wheels = str(data.attrs.get("wheels", ""))
         for title, motion in pass_motions(data):
-            if results.vehicle is not None:
+            # a wheel that changed its speed has none of the speeds of the vehicle file
+            if results.vehicle is not None and not data.attrs.get("wheel_change"):
                 motion = with_wheel_speeds(motion, results.vehicle, telemetry, wheels)
             motions.append((title, motion))
     rank = {title: k for k, title in enumerate(FIRST)}
