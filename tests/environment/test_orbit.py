@@ -359,6 +359,12 @@ def test_an_OMM_is_read_in_each_of_its_forms(form, tmp_path):
     assert np.linalg.norm(place) == pytest.approx(6.79e6, rel=3e-3)
 
 
+def test_the_name_above_two_lines_may_have_an_accent_in_the_encoding_of_Windows(tmp_path):
+    (tmp_path / "tle.txt").write_bytes(VZLUSAT.replace("VZLUSAT-1", "ÑUSAT-1").encode("cp1252"))
+    (elements,) = read_orbit(tmp_path / "tle.txt")
+    assert (elements.name, elements.number) == ("ÑUSAT-1", 42790)
+
+
 @pytest.mark.parametrize("form", FORMS)
 @pytest.mark.parametrize(
     ("scale", "ahead"), [("TAI", 37), ("TT", 69.184), ("GPS", 18), ("tai", 37)]

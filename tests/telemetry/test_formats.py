@@ -226,6 +226,27 @@ def test_a_minus_before_a_column_reverses_it_after_its_zero(tmp_path):
     assert data.attrs["unused_columns"] == "" and data.attrs["missing_sensors"] == ""
 
 
+@pytest.mark.parametrize(
+    ("peak", "fill", "named"),
+    [(1.3, None, True), (1.0, None, False), (0.6, None, False), (0.6, 4095, False)],
+)
+def test_readings_that_pile_up_at_the_largest_count_of_a_converter_are_named(
+    peak, fill, named, tmp_path
+):
+    """Right files reach that count now and then, or hold it as a fill value far above all readings."""
+    light = np.cos(0.37 * np.arange(200))
+    counts = np.clip(np.round(4095 * peak * np.stack([light, -light], axis=1)), 0, 4095)
+    if fill:
+        counts[::20] = fill
+    rows = [f"{10 * k},{first:.0f},{second:.0f}" for k, (first, second) in enumerate(counts)]
+    (tmp_path / "t.csv").write_text("\n".join(["t,pa,pb", *rows]) + "\n")
+    keys = 'time_column = "t"\ntime_format = "unix"'
+    craft = parse_vehicle(VEHICLE.format(telemetry=keys), "v.toml")
+    data = ss.read_telemetry(tmp_path / "t.csv", craft)
+    notes = data.attrs.get("clock_notes", "")
+    assert ("pile up at 4095, the largest count of 12 bits" in notes) == named
+
+
 def test_suggested_keys_read_a_sensor_as_suggested():
     """For each of the 48 ways: the keys that the sentence names, in the vehicle file, give the readings that were meant."""
     base = tomllib.loads(REVERSED)

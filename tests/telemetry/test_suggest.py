@@ -368,12 +368,104 @@ def test_of_several_groups_calibrated_means_are_taken(first, second, folder):
 
 
 @pytest.mark.parametrize(
-    ("name", "scale"), [("time [h]", 3600), ("t_min", 60), ("uptime_us", 1e-6)]
+    ("name", "scale"), [("time [h]", 3600), ("t_min", 60), ("uptime_us", 1e-6), ("time [µs]", 1e-6)]
 )
 def test_the_unit_in_the_name_of_elapsed_times_is_read(name, scale, folder):
     rows = "".join(f"{30 + k},{100 + k},{200 - k}\n" for k in range(9))
     (folder / "export.csv").write_text(f"{name},iXp,iXm\n{rows}", "utf-8")
     assert f"time_scale_s = {scale:g} " in check_is_refused("vehicle.toml", "export.csv")
+
+
+MIDSUMMER = 1782000000
+"""2026-06-21T00:00:00Z as Unix time."""
+
+
+@pytest.mark.parametrize(
+    ("name", "zero", "noted"),
+    [
+        ("CUC coarse time", MIDSUMMER + 37 + 378691200, "check time_format: as CUC from 1958"),
+        ("time_tai1958_s", MIDSUMMER + 37 + 378691200, ""),
+        ("time_gpst_s", MIDSUMMER + 18 - 315964800, ""),
+        ("time_j2000_s", MIDSUMMER + 69.184 - 946728000, ""),
+        ("Time (J2000) [ms]", (MIDSUMMER + 69.184 - 946728000) * 1000, ""),
+        ("obt_unix", MIDSUMMER, ""),
+        ("obt", MIDSUMMER, ""),
+        ("time [µs]", MIDSUMMER * 10**6, ""),
+    ],
+)
+def test_counts_from_other_epochs_than_1970_are_dated_by_the_name_of_the_column(
+    name, zero, noted, folder
+):
+    unit = 1000 if "ms" in name else 10**6 if "µs" in name else 1
+    rows = "".join(f"{zero + 10 * unit * k},{100 + k},{200 - k}\n" for k in range(9))
+    (folder / "export.csv").write_text(f"{name},iXp,iXm\n{rows}", "utf-8")
+    done = CliRunner().invoke(cli, ["init", "mine", "--from", "export.csv"])
+    assert noted in done.output if noted else "note:" not in done.output
+    craft = ss.load_vehicle(folder / "mine" / "vehicle.toml")
+    data = ss.read_telemetry(folder / "export.csv", craft)
+    first = datetime.fromisoformat(data.attrs["epoch_utc"]).timestamp() + float(data["time"][0])
+    assert first == pytest.approx(MIDSUMMER, abs=1e-3)
+    assert np.ptp(data["time"].values) == pytest.approx(80, abs=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("name", "zero", "words"),
+    [
+        ("obt", MIDSUMMER + 18 - 315964800, "(GPS) shows 2026"),
+        ("time", MIDSUMMER + 2082844800, "as Unix times these are of 2092"),
+        ("cuc_time", MIDSUMMER + 18 - 315964800, ""),
+    ],
+)
+def test_a_count_that_may_have_another_epoch_than_1970_is_named(name, zero, words, folder):
+    rows = "".join(f"{zero + 10 * k},{100 + k},{200 - k}\n" for k in range(9))
+    (folder / "export.csv").write_text(f"{name},iXp,iXm\n{rows}", "utf-8")
+    done = CliRunner().invoke(cli, ["init", "mine", "--from", "export.csv"])
+    assert words in done.output
+    text = (folder / "mine" / "vehicle.toml").read_text("utf-8")
+    assert words or "REPLACE by the UTC of time zero, which the mission sets" in text
+
+
+def test_days_of_MJD_from_2000_are_not_of_the_19th_century(folder):
+    rows = "".join(f"{9668 + k / 8640:.9f},{100 + k},{200 - k}\n" for k in range(9))
+    (folder / "export.csv").write_text(f"MJD2000,iXp,iXm\n{rows}", "utf-8")
+    assert CliRunner().invoke(cli, ["init", "mine", "--from", "export.csv"]).exit_code == 0
+    craft = ss.load_vehicle(folder / "mine" / "vehicle.toml")
+    assert craft.telemetry.epoch_utc == "2000-01-01T00:00:00Z"
+
+
+@pytest.mark.parametrize("form", ["I_{}_{} [mA]", "{}_string{}_mA", "I{}{}"])
+def test_further_strings_of_panels_are_named_and_equal_columns_are_none(form, folder):
+    faces = [face.upper() if form == "I{}{}" else face for face in ("xp", "xm", "yp", "ym")]
+    names = [form.format(face, string) for face in faces for string in (1, 2)]
+    rows = [",".join(str(300 + (7 * k + 11 * c) % 90) for c in range(8)) for k in range(20)]
+    text = [f"2026-01-01T00:00:{k:02d}Z,{row}" for k, row in enumerate(rows)]
+    (folder / "export.csv").write_text("\n".join([f"time,{','.join(names)}", *text]), "utf-8")
+    done = CliRunner().invoke(cli, ["init", "mine", "--from", "export.csv"])
+    (line,) = [line for line in done.output.splitlines() if "further strings" in line]
+    assert all((f'"{name}"' in line) == (name in names[1::2]) for name in names)
+    equal = [f"2026-01-01T00:00:{k:02d}Z,{100 + k},{200 - k}" for k in range(20)]
+    equal = [f"{row},{row.split(',', 1)[1]}" for row in equal]
+    (folder / "equal.csv").write_text("\n".join(["time,iXp,iXm,iXp.1,iXm.1", *equal]), "utf-8")
+    done = CliRunner().invoke(cli, ["init", "other", "--from", "equal.csv"])
+    assert done.exit_code == 0 and "strings" not in done.output
+
+
+def test_faces_with_numbers_and_some_with_two_strings_are_one_group(folder):
+    names = "I_xp_1,I_xp_2,I_xm_1,I_xm_2,I_yp,I_ym"
+    (folder / "export.csv").write_text(f"time,{names}\n2026-01-01,400,3,2,300,9,5\n", "utf-8")
+    assert CliRunner().invoke(cli, ["init", "mine", "--from", "export.csv"]).exit_code == 0
+    columns = ss.load_vehicle(folder / "mine" / "vehicle.toml").telemetry.columns
+    assert columns == {"+X": "I_xp_1", "-X": "I_xm_1", "+Y": "I_yp", "-Y": "I_ym"}
+
+
+@pytest.mark.parametrize("encoding", ["utf-8", "cp1252", "cp850", "cp437"])
+def test_microamperes_are_read_in_the_encodings_of_Windows_and_DOS(encoding, folder):
+    """Of DOS, the sign for micro is another letter, and the unit was guessed as mA."""
+    rows = "\n".join(f"2026-01-01T00:00:{k:02d}Z,{400000 - k},{300 + k}" for k in range(20))
+    content = f"time,I xp µA,I xm µA\n{rows}\n".encode(encoding)
+    (folder / "export.csv").write_bytes(content)
+    assert CliRunner().invoke(cli, ["init", "mine", "--from", "export.csv"]).exit_code == 0
+    assert ss.load_vehicle(folder / "mine" / "vehicle.toml").telemetry.scale == 1e-6
 
 
 def test_panels_in_another_unit_than_the_others_are_named(folder):

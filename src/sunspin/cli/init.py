@@ -32,10 +32,11 @@ def init(folder: Path, telemetry: Path | None, output: Output) -> None:
     from sunspin.output.template import write_templates, write_vehicle_for
 
     if telemetry is not None:
-        vehicle, sensors = write_vehicle_for(folder, telemetry)
+        vehicle, sensors, notes = write_vehicle_for(folder, telemetry)
         lines = [
             f"Wrote {vehicle}: panels and [telemetry] from {telemetry.name}, no inertia and no wheel.",
-            "Check units, gains and faces in it, which are guesses from the names of the columns.",
+            "Check times, units, gains and faces in it, which are guesses from the names of the columns.",
+            *(f"note: {note}" for note in notes),
         ]
         if sensors:
             tables = ", ".join(f"[{sensor}]" for sensor in sensors)
@@ -43,7 +44,8 @@ def init(folder: Path, telemetry: Path | None, output: Output) -> None:
                 f"Columns of other sensors stand in it as comments ({tables}): remove the # once axes, signs and units are right."
             )
         lines.append(f"Next: sunspin check {vehicle} {telemetry}")
-        output.report({"vehicle": str(vehicle), "telemetry": str(telemetry)}, lines)
+        summary = {"vehicle": str(vehicle), "telemetry": str(telemetry), "notes": notes}
+        output.report(summary, lines)
         return
     vehicle, telemetry = write_templates(folder)
     lines = [

@@ -21,6 +21,7 @@ from sunspin.base.untrusted import (
     LARGEST,
     IsolatedRunError,
     decode_text,
+    decode_western,
     plain_number,
     read_bytes,
     run_isolated,
@@ -261,7 +262,8 @@ def read_orbit(file: OrbitFile | Path | str) -> tuple[Elements, ...] | tuple[Eph
     if content[:7] in (b"DAF/SPK", b"NAIF/DA"):
         tables = [_read_spk(path)]
     else:
-        text = decode_text(content, where, InputError, do)
+        # a name of a satellite may have an accent; the lines of elements are checked for foreign characters
+        text = decode_western(content) or decode_text(content, where, InputError, do)
         lines = (line for line in text.splitlines() if line.strip() and not line.startswith("#"))
         if "CCSDS_OEM_VERS" in text[:20_000] or "<oem" in text[:20_000]:
             read_oem = _read_oem_xml if text.lstrip()[:1] == "<" else _read_oem_kvn

@@ -51,8 +51,10 @@ def write_templates(folder: Path) -> list[Path]:
     return _write(folder, {name: _template(name) for name in names})
 
 
-def write_vehicle_for(folder: Path, telemetry: Path) -> tuple[Path, list[str]]:
-    """Write a vehicle.toml that reads a telemetry file into a folder; return its path and the sensors in its comments.
+def write_vehicle_for(folder: Path, telemetry: Path) -> tuple[Path, list[str], list[str]]:
+    """Write a vehicle.toml that reads a telemetry file into a folder; return its path, the sensors in its comments, and notes.
+
+    The notes are sentences on times that may be misread and on columns of panels that are not read.
 
     It has a panel of unknown gain for each face that a column names, and neither inertia nor wheels. The columns of a gyro and of a
     magnetometer stand in comments, as their axes are not known.
@@ -107,7 +109,7 @@ def write_vehicle_for(folder: Path, telemetry: Path) -> tuple[Path, list[str]]:
             rf"^{key} = .*$", lambda _, line=line: line, text, count=1, flags=re.MULTILINE
         )
     (path,) = _write(folder, {"vehicle.toml": text})
-    return path, list(suggestion.sensors)
+    return path, list(suggestion.sensors), suggestion.notes
 
 
 def _seen(suggestion: Suggestion, face: str) -> str:

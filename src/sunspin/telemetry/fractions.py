@@ -22,6 +22,9 @@ UNITS_S = {
 }
 """Words in the name of a column of fractions -> their unit, s."""
 
+PLAIN_SIGNS = str.maketrans("µμæø", "uuu°")
+"""Both characters for micro, and what micro and degree of DOS (cp437, cp850) become in a file read as cp1252."""
+
 FRACTION_WORDS = ("fraction", "fractions", "frac", "fractional", "subsec", "subsecs", "subsecond")
 FRACTION_WORDS += ("subseconds", "fine")
 """Words for fractions whose unit is known by their size only."""
@@ -66,7 +69,7 @@ def find_fractions(table: TextTable, time_column: str) -> Fractions | None:
             return None
     known = {*TIME_WORDS, *re.findall(r"[a-z]+", time_column.lower())}
     for column in table.header:
-        words = re.findall(r"[a-z]+", column.lower().replace("µ", "u").replace("μ", "u"))
+        words = re.findall(r"[a-z]+", column.lower().translate(PLAIN_SIGNS))
         units = [UNITS_S[word] for word in words if word in UNITS_S]
         is_fraction = any(word in FRACTION_WORDS for word in words)
         others = {word for word in words if word not in UNITS_S} - {*FRACTION_WORDS} - known

@@ -49,6 +49,17 @@ LEAST_WRAPPED = 3
 """Different readings near full scale; a single one is a fill value or saturation."""
 
 
+LARGEST_COUNTS = tuple(2.0**bits - 1 for bits in (8, 10, 12, 14, 16))
+"""Largest counts of common converters."""
+
+JUST_BELOW, NEAR = 0.98, 0.7
+"""Readings above the first share of the largest count are compared in number with those at it; some readings must lie above the
+second: else the largest count is a fill value."""
+
+LEAST_SATURATED, LEAST_NEAR = 5, 3
+"""Smallest number of readings at the largest count, and of readings near it."""
+
+
 def find_wrapped_counts(values: np.ndarray) -> int | None:
     """Return the counts of the converter if whole numbers near its full scale look like negative ones; None if none do."""
     known = values[np.isfinite(values)]
@@ -59,6 +70,35 @@ def find_wrapped_counts(values: np.ndarray) -> int | None:
         if len(high) >= LEAST_WRAPPED and is_whole and known.max() < full and len(low):
             return full if low.max() < FAR_FROM_FULL * full else None
     return None
+
+
+def describe_saturation(values: np.ndarray, columns: list[str]) -> tuple[str, ...]:
+    """Return a sentence on columns whose readings pile up at the largest count of a converter; none if there are none.
+
+    Parameters
+    ----------
+    values : (n, n_column), unit of the file
+    columns : list of str
+        Their names.
+    """
+    known = values[np.isfinite(values)]
+    largest = known.max(initial=0.0)
+    if largest not in LARGEST_COUNTS or not (known == np.round(known)).all():
+        return ()
+    at_end = np.count_nonzero(values == largest, axis=0)
+    below = values < largest
+    # of a rotating panel whose largest reading happens to be that count, more readings lie just below it than at it
+    just_below = np.count_nonzero(below & (values >= JUST_BELOW * largest), axis=0)
+    near = np.count_nonzero(below & (values >= NEAR * largest), axis=0)
+    piled = (at_end >= LEAST_SATURATED) & (at_end > just_below) & (near >= LEAST_NEAR)
+    if not piled.any():
+        return ()
+    names = ", ".join(f"{columns[k]!r} ({at_end[k]})" for k in np.flatnonzero(piled))
+    bits = int(largest + 1).bit_length() - 1
+    return (
+        f"readings pile up at {largest:.0f}, the largest count of {bits} bits, in column {names}: the converter is saturated "
+        "there and the light is stronger than they say, or they are fill values",
+    )
 
 
 def dark_noise(values: npt.ArrayLike, least: int = LEAST_NEGATIVE) -> float | None:

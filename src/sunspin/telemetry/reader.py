@@ -23,7 +23,7 @@ from sunspin.base.tables import TextTable, read_table
 from sunspin.telemetry.dates import rewrite_dates
 from sunspin.telemetry.fractions import add_fractions, unread_fractions
 from sunspin.telemetry.layout import join_packets, pivot_series
-from sunspin.telemetry.noise import find_wrapped_counts, lowest_reading
+from sunspin.telemetry.noise import describe_saturation, find_wrapped_counts, lowest_reading
 from sunspin.telemetry.sensors import ABSURD, read_columns, read_sensors, sensor_columns
 from sunspin.telemetry.sources import describe_sources
 from sunspin.telemetry.stored import KIND, restore_telemetry
@@ -151,8 +151,8 @@ def read_telemetry(path: Any, vehicle: Vehicle, *, columns: Sequence[str] = ()) 
         layout_notes += packet_notes
     time, epoch, received = times.time, times.epoch, times.received
     sensors |= read_columns(table, columns)
-    values, flag = _read_panels(vehicle, table, panel_columns)
-    layout_notes += describe_sources(table, time, unused, values)
+    values, flag, saturation = _read_panels(vehicle, table, panel_columns)
+    layout_notes += describe_sources(table, time, unused, values) + saturation
     values, temperatures = _correct_for_temperature(vehicle, table, values)
     flag |= np.where(_find_late_rows(form, table, time), NOT_INCREASING, np.uint8(0))
     missing = _missing_sensors(vehicle, table, unused)
@@ -273,8 +273,9 @@ def _refuse_bad_cells(
 
 def _read_panels(
     vehicle: Vehicle, table: TextTable, columns: list[str]
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return the panel readings (n, n_input) in W or A, NaN if missing, and the flag (n) of each row (bits of `FLAGS`).
+) -> tuple[np.ndarray, np.ndarray, tuple[str, ...]]:
+    """Return the panel readings (n, n_input) in W or A, NaN if missing, the flag (n) of each row (bits of `FLAGS`), and sentences
+    on saturated readings.
 
     Raises
     ------
@@ -288,6 +289,8 @@ def _read_panels(
         what = f"readings up to {np.nanmax(values):.0f} look like negative numbers of a converter"
         do = f"set wraps_at = {full} under [telemetry]"
         raise TelemetryError(what, do=do, where=table.where)
+    has_counts = form.wraps_at is None and not form.has_angles
+    saturation = describe_saturation(values, columns) if has_counts else ()
     values = (unwrap_counts(values, form.wraps_at) - form.zero) * form.scale
     if columns and form.has_voltages:  # the values are currents: power is current times voltage
         common_column = form.voltage_column or ""
@@ -307,7 +310,8 @@ def _read_panels(
     missing, negative = ~np.isfinite(values), values < lowest_reading(vehicle, values)
     _refuse_bad_cells(form, "a finite number is expected", missing, table, columns)
     _refuse_bad_cells(form, "a panel cannot give a negative value", negative, table, columns)
-    return values, NOT_A_NUMBER * missing.any(axis=1) | NEGATIVE * negative.any(axis=1)
+    flag = NOT_A_NUMBER * missing.any(axis=1) | NEGATIVE * negative.any(axis=1)
+    return values, flag, saturation
 
 
 def _signals_of_angles(

@@ -24,7 +24,7 @@ from sunspin.telemetry.dates import (
     is_compact_time,
     rewrite_date,
 )
-from sunspin.telemetry.fractions import UNITS_S, find_fractions
+from sunspin.telemetry.fractions import FRACTION_WORDS, PLAIN_SIGNS, UNITS_S, find_fractions
 from sunspin.telemetry.layout import pivot_series
 from sunspin.telemetry.noise import find_wrapped_counts
 from sunspin.telemetry.sensors import read_numbers
@@ -97,8 +97,22 @@ MILLI = 30.0
 """A reading without a unit above this is in thousandths: no single panel gives 30 A or 30 W."""
 
 TIME_WORDS = ("time", "timestamp", "date", "datetime", "utc", "unix", "epoch", "uptime", "ts", "t")
-TIME_WORDS += ("met", "obt", "sclk", "mjd")
+TIME_WORDS += ("met", "obt", "sclk", "scet", "mjd", "cuc", "tai", "gpst", "j2000")
 """Words in the name of a time column, the likeliest first."""
+
+BOARD_CLOCKS = ("obt", "sclk", "scet", "met", "spacecraft", "sc", "onboard")
+"""Words in the name of a time column of a clock on board, whose time zero the mission sets."""
+
+YEAR_S = 365.25 * 86_400.0
+
+J2000_UTC = "2000-01-01T11:58:55.816Z"
+"""The epoch J2000: 12:00 TT, 32.184 s ahead of TAI, which was 32 s ahead of UTC."""
+
+LAST_GPS_S = 1.6e9
+"""Largest number of a clock on board that may be GPS seconds, then in 2030; as Unix time it is of 2020."""
+
+FIRST_CUC_S = 1.7e9
+"""CUC seconds from here on are taken as TAI from 1958, then in 2011; fewer ones count from another epoch or are of old missions."""
 
 DAY_COUNTS = ("jd", "julian", "datenum")
 """Words in the name of a column of days from an instant before the calendar of `epoch_utc`."""
@@ -108,6 +122,10 @@ YEAR_WORDS = ("year", "years", "yr", "doy")
 
 WEEK_WORDS, SECONDS_OF_WEEK_WORDS = ("week", "weeks", "wn", "gpsweek"), ("tow", "sow", "itow")
 """Words in the names of the columns of GPS weeks and of seconds of the week."""
+
+STRING_WORDS = ("string", "strings", "str")
+STRING_PAIRS = ("a", "b", "c", "d", "left", "right", "upper", "lower", "inner", "outer")
+"""Words that tell the strings of cells of one panel apart; `STRING_PAIRS` only if each column has one."""
 
 RECEIVED_WORDS = ("received", "receive", "recv", "reception", "rx", "ert", "ground", "downlink")
 """Words in the name of a column of times of reception, which are later than those of the samples."""
@@ -138,11 +156,14 @@ SENSOR_UNITS = {
 FIRST_UNIX_S, LAST_UNIX_S = 9e8, 5e9
 """Unix times of satellites with such telemetry, s: from 1998 to 2128."""
 
+LAST_CLOCK_S = 2.0**31
+"""Unix time of 2038: times beyond are named, as they may be counts from another epoch."""
+
 FIRST_DAY, LAST_DAY, MOST_DAYS = 35_000.0, 50_000.0, 0.05
 """Days of a spreadsheet from 1995 to 2036, and the largest interval of samples: as seconds it would be shorter than any."""
 
 LAST_MJD = 65_000.0
-"""Days of the Modified Julian Date from 1995 to 2036 follow up to here."""
+"""Days of the Modified Julian Date from 1995 to 2036 follow up to here; below `FIRST_DAY` they count from 2000 (MJD2000)."""
 
 LONG_UNITS_S = {
     **dict.fromkeys(("min", "mins", "minute", "minutes"), 60.0),
@@ -166,6 +187,15 @@ class Suggestion(NamedTuple):
     columns: dict[str, str]
     largest: dict[str, float]
     sensors: dict[str, AxisColumns]
+
+    @property
+    def notes(self) -> list[str]:
+        """Sentences of the section's comments on what may be read wrongly, or is not read although it is of the same panels.
+
+        Columns without a face are none: usually they hold the sum of all panels, or what a battery or a bus gives.
+        """
+        comments = (line[2:] for line in self.section.splitlines() if line.startswith("# "))
+        return [text for text in comments if not text.startswith(("not read:", "perhaps panels"))]
 
 
 class AxisColumns(NamedTuple):
@@ -250,6 +280,11 @@ def suggest_section(table: TextTable, panels: dict[str, str] | None = None) -> S
         lines.append(
             f"# perhaps panels whose names say no face, such as wings; each needs a [[panel]]: {names}"
         )
+    if strings := _further_strings(table, [*group.columns.values()], others):
+        names = ", ".join(map(toml_string, strings))
+        lines.append(
+            f"# perhaps further strings of these panels, not read; each needs a [[panel]] with the same normal_B: {names}"
+        )
     if other := [name for name in others if group.in_another_unit(name)]:
         names = ", ".join(map(toml_string, other))
         lines.append(
@@ -304,6 +339,42 @@ def _unreadable_cell(table: TextTable, column: str) -> str:
     return cell if any(map(str.isdigit, cell)) and not _is_numeric(table, column) else ""
 
 
+def _further_strings(table: TextTable, used: list[str], others: list[str]) -> list[str]:
+    """Return the columns of `others` that may be of further strings of cells of the panels whose columns are `used`.
+
+    Their names differ from a used one only in the face, in numbers and in words for strings (`STRING_WORDS`, `STRING_PAIRS`), and
+    their readings differ from those of all used columns.
+    """
+    kinds = {_string_kind(table, name, marks) for name in used for marks in (False, True)}
+    readings = read_numbers(table, used)
+    return [
+        name
+        for name in others
+        if (_string_kind(table, name, False) in kinds or _string_kind(table, name, True) in kinds)
+        and _is_numeric(table, name)
+        and not (readings == read_numbers(table, [name])).all(axis=0).any()
+    ]
+
+
+def _string_kind(table: TextTable, column: str, has_mark: bool) -> tuple[str, ...]:
+    """Return the words and the unit in a column's name without face, numbers and words for strings; unique if it has no face.
+
+    `has_mark`: a word of `STRING_PAIRS` is left out too, and columns without one are unlike all others.
+    """
+    name, unit = _unit_of(table, column)
+    words = _words(name)
+    if (face := FACE.search(words)) is None:
+        return (column,)
+    tokens = re.findall(r"[a-zµμ%]+", f"{words[: face.start()]} {words[face.end() :]}")
+    kept = [word for word in tokens if word not in STRING_WORDS]
+    if has_mark:
+        pairs = [word for word in kept if word in STRING_PAIRS]
+        if len(pairs) != 1:
+            return (column,)
+        kept = ["*" if word in STRING_PAIRS else word for word in kept]
+    return (*kept, f"[{unit}]")
+
+
 def _sensor_columns(table: TextTable, used: set[str]) -> dict[str, AxisColumns]:
     """Return the columns of a gyro and of a magnetometer by the words in their names, without the columns in `used`.
 
@@ -333,7 +404,7 @@ def _sensor_columns(table: TextTable, used: set[str]) -> dict[str, AxisColumns]:
 
 def _entry(text: str, comment: str) -> str:
     """Return a line of TOML with a comment."""
-    return f"{text:<38}# {comment}" if comment else text
+    return f"{text:<37} # {comment}" if comment else text
 
 
 def toml_string(name: str) -> str:
@@ -347,20 +418,20 @@ def _split_unit(name: str) -> tuple[str, str]:
     The unit is in brackets, or the last word after a blank, underscore, dot, comma or slash, or the first one. As a word, A and W
     are written in capital letters, and are no first word.
     """
-    if first := re.fullmatch(r"([muµμ][AW])[_ .]+(.*)", name):
+    if first := re.fullmatch(r"([muµμæ][AW])[_ .]+(.*)", name):
         name = f"{first[2]} {first[1]}"
     in_brackets = re.fullmatch(r"(.*?)\s*[\[(]([^\])]*)[\])]\s*", name)
     if in_brackets and FACE.fullmatch(in_brackets[2].strip().lower()):  # such as I[+X]
         return name, ""
     match = in_brackets or re.fullmatch(
-        r"(.*?)\s*[_ .,/]\s*([muµμ]A|[mu]a|A|[muµμ]W|[mu]w|W|deg|rad)", name
+        r"(.*?)\s*[_ .,/]\s*([muµμæ]A|[mu]a|A|[muµμæ]W|[mu]w|W|deg|rad)", name
     )
     return (match[1], _plain_unit(match[2])) if match else (name, "")
 
 
 def _plain_unit(text: str) -> str:
     """Return a unit in small letters, with u for micro and one spelling of ampere and watt."""
-    unit = text.strip(" []()").lower().replace("µ", "u").replace("μ", "u")
+    unit = text.strip(" []()").lower().translate(PLAIN_SIGNS)
     if word := UNIT_WORD.fullmatch(unit):
         unit = {"milli": "m", "micro": "u", "": ""}[word["prefix"]] + ("a" if word["A"] else "w")
     return unit
@@ -369,6 +440,8 @@ def _plain_unit(text: str) -> str:
 def _unit_of(table: TextTable, column: str) -> tuple[str, str]:
     """Return the name of a column without its unit, and the unit by its name or by the row of units, empty if there is none."""
     name, unit = _split_unit(column)
+    if re.search(r"[_ .]A$", column) and f"{column[:-1]}B" in table.header:
+        name, unit = column, ""  # strings A and B of a panel, and no ampere
     return name, unit or _plain_unit(table.units.get(column, ""))
 
 
@@ -443,8 +516,14 @@ def _best_group(table: TextTable) -> _Group | None:
             continue
         template = f"{words[: face.start()]}#{words[face.end() :]}"
         groups[template, unit].setdefault(_face_of(face), column)
-    judged = []
+    # faces may have numbers too, or several strings: without the numbers they are one group, if it says that it is of panels
+    without_numbers: dict[tuple[str, str], dict[str, str]] = defaultdict(dict)
     for (template, unit), columns in groups.items():
+        plain = " ".join(re.sub(r"\d+", "", template).split())
+        if unit in UNITS or {*plain.split()} & {*WORDS["current_A"], *WORDS["power_W"]}:
+            without_numbers[plain, unit] = columns | without_numbers[plain, unit]
+    judged = []
+    for (template, unit), columns in [*groups.items(), *without_numbers.items()]:
         quantity, scale, reason = _judge_quantity(table, template, unit, columns)
         # a minus alone is no face: `mx`, `my`, `mz` are a magnetometer's
         if quantity and len(columns) > 1 and any(face[0] == "+" for face in columns):
@@ -499,10 +578,11 @@ def _find_times(table: TextTable) -> _Times | None:
     """Return the column of times and how it is read; None if there is none."""
     ranked = []
     for place, column in enumerate(table.header):
-        words = set(re.findall(r"[a-z]+", _words(column)))
+        words = _time_words(column)
         by_name = [k for k, word in enumerate(TIME_WORDS) if word in words]
         cells = table.cells[column].tolist()
         scale = next((scale for scale in ("gps", "tai") if scale in words), "")
+        scale = "gps" if "gpst" in words else scale
         if scale:  # which may also stand after each date
             cells = [cell.strip().removesuffix(scale.upper()).rstrip() for cell in cells]
         lines = _describe_times(cells, words)
@@ -522,7 +602,7 @@ def _find_times(table: TextTable) -> _Times | None:
                 lines = [*lines, _entry(stated, "by the name of the column; check this")]
             # dates with times of day before dates alone, these before numbers, then UTC of samples, by the name, then the first
             rank = 2 - is_date * (2 if any(":" in cell or "T" in cell for cell in cells) else 1)
-            is_other = bool(scale) or bool(words & set(RECEIVED_WORDS))
+            is_other = bool(scale) or bool(words & {*RECEIVED_WORDS, *FRACTION_WORDS})
             ranked.append((rank, is_other, min(by_name, default=99), place, column, lines))
     rank, *_, column, lines = min(ranked, default=(3, "", []))
     if (not lines or "elapsed" in lines[0]) and (gps := _gps_weeks(table)) is not None:
@@ -585,6 +665,13 @@ def _clock_column(table: TextTable, date_column: str) -> str | None:
     return None
 
 
+def _time_words(column: str) -> set[str]:
+    """Return the words in the name of a column of times, in small letters; seconds from J2000 have the word "j2000"."""
+    name = _words(column).translate(PLAIN_SIGNS)
+    is_j2000 = re.search(r"(?<![a-z])(j ?2000|j2k|tdb)(?![a-z0-9])", name) is not None
+    return set(re.findall(r"[a-z]+", name)) | ({"j2000"} if is_j2000 else set())
+
+
 def _describe_times(cells: list[str], words: set[str]) -> list[str] | None:
     """Return the lines for a column of times; None if the cells are no times. `words`: those of the column's name."""
     filled = [cell.strip() for cell in cells if cell.strip()]
@@ -610,29 +697,75 @@ def _describe_times(cells: list[str], words: set[str]) -> list[str] | None:
     typical = float(np.median(known))
     steps = np.abs(np.diff(known))
     in_days = np.any(steps) and np.median(steps[steps > 0]) < MOST_DAYS
+    sizes = LONG_UNITS_S | UNITS_S
+    named_s = next((sizes[word] for word in sorted(words) if word in sizes), None)
+    units = {1.0: "s", 1e-3: "ms", 1e-6: "us", 1e-9: "ns"}
+    units |= {60.0: "minutes", 3600.0: "hours", 86_400.0: "days"}
+    if "j2000" in words:
+        small = (scale for scale in (1.0, 1e-3, 1e-6, 1e-9) if typical * scale < LAST_UNIX_S)
+        in_days_s = 86_400.0 if in_days and typical < LAST_DAY else None
+        scale = named_s or in_days_s or next(small, 1.0)
+        return [
+            _entry('time_format = "elapsed"', f"{units[scale]} from J2000"),
+            _entry(f'epoch_utc = "{J2000_UTC}"', "12:00 TT; check this: or 12:00 UTC"),
+            *([] if scale == 1 else [_entry(f"time_scale_s = {scale:g}", units[scale])]),
+            _entry("counts_leap_seconds = true", ""),
+        ]
     is_mjd = "mjd" in words or (LAST_DAY <= typical < LAST_MJD and in_days)
     if is_mjd or (FIRST_DAY < typical < LAST_DAY and in_days):
         count, zero = "days since 1899-12-30, as in spreadsheets", "1899-12-30"
         if is_mjd:
             count, zero = "days of the Modified Julian Date", "1858-11-17"
+            if typical < FIRST_DAY:
+                count, zero = "days of the Modified Julian Date from 2000", "2000-01-01"
         return [
             _entry('time_format = "elapsed"', count),
             _entry(f'epoch_utc = "{zero}T00:00:00Z"', "check this: or local time"),
             _entry("time_scale_s = 86400", "days"),
             _entry("counts_leap_seconds = false", ""),
         ]
-    sizes = LONG_UNITS_S | UNITS_S
-    named_s = next((sizes[word] for word in sorted(words) if word in sizes), None)
-    units = {1.0: "s", 1e-3: "ms", 1e-6: "us", 1e-9: "ns"}
-    units |= {60.0: "minutes", 3600.0: "hours", 86_400.0: "days"}
     is_unix = typical > FIRST_UNIX_S and (named_s is None or named_s > 1)
     for scale in (1.0, 1e-3, 1e-6, 1e-9) if is_unix or named_s is None else (named_s,):
         if FIRST_UNIX_S < typical * scale < LAST_UNIX_S:
             scaled = [] if scale == 1 else [_entry(f"time_scale_s = {scale:g}", units[scale])]
-            return [_entry('time_format = "unix"', f"{units[scale]} since 1970"), *scaled]
+            return [*_describe_large_count(typical * scale, units[scale], words), *scaled]
     scaled = [] if named_s is None else [_entry(f"time_scale_s = {named_s:g}", units[named_s])]
     return [
         _entry('time_format = "elapsed"', "the numbers are too small for dates"),
         _entry('epoch_utc = "2000-01-01T00:00:00Z"', "REPLACE by the UTC of time zero"),
         *scaled,
     ]
+
+
+def _describe_large_count(typical_s: float, unit: str, words: set[str]) -> list[str]:
+    """Return the lines for a column of times that are as large as Unix times, with a remark if the clock may be another one.
+
+    `typical_s`: their median in s; `unit`: that of the column in words; `words`: those of its name.
+    """
+    if "cuc" in words and typical_s >= FIRST_CUC_S:
+        year = 1958 + int(typical_s / YEAR_S)
+        return [
+            _entry('time_format = "tai"', f"{unit} from 1958, as CCSDS 301.0-B recommends"),
+            f"# check time_format: as CUC from 1958 the times are of {year}; the mission may count from another epoch, such as "
+            f'1970 ("unix": {year + 12}) or 1980 ("gps": {year + 22})',
+        ]
+    if "cuc" in words:
+        replace = "REPLACE by the UTC of time zero, which the mission sets"
+        return [
+            _entry('time_format = "elapsed"', "CUC, too early for a count from 1958"),
+            _entry('epoch_utc = "2000-01-01T00:00:00Z"', replace),
+        ]
+    lines = [_entry('time_format = "unix"', f"{unit} since 1970")]
+    year = 1970 + int(typical_s / YEAR_S)
+    if words & {"gps", "gpst", "tai", "unix", "utc"}:
+        return lines
+    if typical_s > LAST_CLOCK_S:
+        lines.append(
+            f"# check time_format: as Unix times these are of {year}; other counts begin in 1900, 1904 or 1958"
+        )
+    elif words & {*BOARD_CLOCKS} and typical_s < LAST_GPS_S:
+        lines.append(
+            f"# check time_format: as Unix times these are of {year}, by their size only; a clock on board that counts from 1980 "
+            f"(GPS) shows {year + 10}"
+        )
+    return lines
