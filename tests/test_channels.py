@@ -265,7 +265,9 @@ def nearest(tree, truth):
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("throttled", ["", "throttled = true"])
+@pytest.mark.parametrize(
+    "throttled", [pytest.param("", marks=pytest.mark.slow), "throttled = true"]
+)
 def test_the_posterior_of_three_channels_lists_the_truth_among_symmetric_solutions(throttled):
     vehicle = craft(THREE, more=MOVES, channel=throttled)
     data, truth = flight(vehicle, 0, samples=12, step_s=6.0)

@@ -257,6 +257,7 @@ speed_rad_s = 40.0
 """
 
 
+@pytest.mark.slow
 def test_each_of_several_changes_gives_the_rate_that_is_printed_with_it(tmp_path):
     """Mirrors along x and z reverse the wheel too; the advice is to find out which is right before the file is changed."""
     rng = np.random.default_rng(2)

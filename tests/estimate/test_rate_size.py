@@ -59,14 +59,14 @@ def test_the_size_of_the_rate_decides_between_aliases():
 
 def test_a_size_that_contradicts_the_sun_does_not_fit():
     vehicle, _, data, _ = aliased(factor=3.0)
-    result = rates(vehicle, data, max_rate_rad_s=0.15)
+    result = rates(vehicle, data, max_rate_rad_s=0.15, column_tests=False)
     assert not result["fits"].values[0]
     assert "size of the rate" in str(result["why_not_decided"].values[0])
 
 
 def test_an_uncertain_scale_is_estimated():
     vehicle, _, data, omega = aliased(RateSize("rate", 1.0, NOISE_RAD_S, 0.1), factor=1.1)
-    result = rates(vehicle, data, max_rate_rad_s=0.15)
+    result = rates(vehicle, data, max_rate_rad_s=0.15, column_tests=False)
     k = list(result["estimate"].values).index("rate_size_scale")
     value, sigma = (result[f"estimate_{what}"].values[0, k] for what in ("value", "sigma"))
     # the reading less its error is the size: 1.1 size (1 - u) = size

@@ -54,6 +54,7 @@ def is_not_accused(result) -> bool:
     return bool(result["decided"].values.all()) and "columns_doubt" not in result.attrs
 
 
+@pytest.mark.slow
 def test_exchanged_columns_are_named_where_reversed_wheels_fit_better_than_the_file():
     """The file fits, and with its wheel reversed it fits better; with +Y and +Z as they were it fits better still."""
     _, result = of_satellite((7, 25), [0, 2, 1, 3, 4])
@@ -181,7 +182,10 @@ def test_with_the_columns_that_fit_a_little_better_the_pass_is_decided_along_the
     assert (np.abs(omega - truth) < 4 * sigma).all()
 
 
-@pytest.mark.parametrize(("number", "exchanged"), [((101, 1), (2, 5)), ((103, 5), (1, 4))])
+@pytest.mark.parametrize(
+    ("number", "exchanged"),
+    [pytest.param((101, 1), (2, 5), marks=pytest.mark.slow), ((103, 5), (1, 4))],
+)
 def test_opposite_columns_exchanged_on_a_satellite_with_a_wheel_are_named(number, exchanged):
     """The reversed wheel looks the same, and its motion is within the errors of the file's, which strong torques make large.
 

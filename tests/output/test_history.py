@@ -204,7 +204,7 @@ def test_the_nutation_of_a_tumbling_body_is_no_jump_and_hides_no_trend():
 @pytest.mark.parametrize("walk", [0.0, 1e-4])
 def test_a_jump_is_found_with_place_and_size(walk):
     rng = np.random.default_rng(7)
-    for _ in range(20):
+    for _ in range(10):
         t, speed, sigma = simulated(rng, 25, 1e-5, walk, jump=4e-3)
         trend = fit_trend(t, speed, sigma)
         ((k, size, error),) = trend.jumps
