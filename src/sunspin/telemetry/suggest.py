@@ -145,6 +145,7 @@ LAST_MJD = 65_000.0
 """Days of the Modified Julian Date from 1995 to 2036 follow up to here."""
 
 LONG_UNITS_S = {
+    **dict.fromkeys(("s", "sec", "secs", "second", "seconds"), 1.0),
     **dict.fromkeys(("min", "mins", "minute", "minutes"), 60.0),
     **dict.fromkeys(("h", "hr", "hrs", "hour", "hours"), 3600.0),
     **dict.fromkeys(("d", "day", "days"), 86_400.0),
@@ -499,13 +500,14 @@ def _find_times(table: TextTable) -> _Times | None:
     """Return the column of times and how it is read; None if there is none."""
     ranked = []
     for place, column in enumerate(table.header):
-        words = set(re.findall(r"[a-z]+", _words(column)))
+        named = re.findall(r"[a-z]+", _words(column).replace("µ", "u").replace("μ", "u"))
+        words = set(named)
         by_name = [k for k, word in enumerate(TIME_WORDS) if word in words]
         cells = table.cells[column].tolist()
         scale = next((scale for scale in ("gps", "tai") if scale in words), "")
         if scale:  # which may also stand after each date
             cells = [cell.strip().removesuffix(scale.upper()).rstrip() for cell in cells]
-        lines = _describe_times(cells, words)
+        lines = _describe_times(cells, named)
         # 20260131 may be a number if no times of day stand next to it
         is_bare = all(map(is_compact_date, cells)) and _clock_column(table, column) is None
         if lines is not None and not is_bare:
@@ -585,8 +587,9 @@ def _clock_column(table: TextTable, date_column: str) -> str | None:
     return None
 
 
-def _describe_times(cells: list[str], words: set[str]) -> list[str] | None:
-    """Return the lines for a column of times; None if the cells are no times. `words`: those of the column's name."""
+def _describe_times(cells: list[str], named: list[str]) -> list[str] | None:
+    """Return the lines for a column of times; None if the cells are no times. `named`: the words of the column's name."""
+    words = set(named)
     filled = [cell.strip() for cell in cells if cell.strip()]
     if not filled:
         return None
@@ -609,7 +612,8 @@ def _describe_times(cells: list[str], words: set[str]) -> list[str] | None:
         return None
     typical = float(np.median(known))
     steps = np.abs(np.diff(known))
-    in_days = np.any(steps) and np.median(steps[steps > 0]) < MOST_DAYS
+    usual_step = float(np.median(steps[steps > 0])) if np.any(steps) else np.inf
+    in_days = usual_step < MOST_DAYS
     is_mjd = "mjd" in words or (LAST_DAY <= typical < LAST_MJD and in_days)
     if is_mjd or (FIRST_DAY < typical < LAST_DAY and in_days):
         count, zero = "days since 1899-12-30, as in spreadsheets", "1899-12-30"
@@ -622,15 +626,20 @@ def _describe_times(cells: list[str], words: set[str]) -> list[str] | None:
             _entry("counts_leap_seconds = false", ""),
         ]
     sizes = LONG_UNITS_S | UNITS_S
-    named_s = next((sizes[word] for word in sorted(words) if word in sizes), None)
+    # "Time of day [s]" is in seconds, and "day_time" too if its numbers are too far apart for days
+    units_s = [
+        sizes[word] for word in " ".join(named).replace("of day", "").split() if word in sizes
+    ]
+    named_s = units_s[-1] if units_s else 1.0
+    if named_s > 1 and named_s * usual_step > MOST_DAYS * LONG_UNITS_S["day"]:
+        named_s = 1.0
     units = {1.0: "s", 1e-3: "ms", 1e-6: "us", 1e-9: "ns"}
     units |= {60.0: "minutes", 3600.0: "hours", 86_400.0: "days"}
-    is_unix = typical > FIRST_UNIX_S and (named_s is None or named_s > 1)
-    for scale in (1.0, 1e-3, 1e-6, 1e-9) if is_unix or named_s is None else (named_s,):
+    for scale in (1.0, 1e-3, 1e-6, 1e-9) if named_s >= 1 else (named_s,):
         if FIRST_UNIX_S < typical * scale < LAST_UNIX_S:
             scaled = [] if scale == 1 else [_entry(f"time_scale_s = {scale:g}", units[scale])]
             return [_entry('time_format = "unix"', f"{units[scale]} since 1970"), *scaled]
-    scaled = [] if named_s is None else [_entry(f"time_scale_s = {named_s:g}", units[named_s])]
+    scaled = [] if named_s == 1 else [_entry(f"time_scale_s = {named_s:g}", units[named_s])]
     return [
         _entry('time_format = "elapsed"', "the numbers are too small for dates"),
         _entry('epoch_utc = "2000-01-01T00:00:00Z"', "REPLACE by the UTC of time zero"),
