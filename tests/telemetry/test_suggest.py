@@ -231,6 +231,7 @@ def test_nothing_is_suggested_where_names_say_nothing(header, what, folder):
         ({"GPS Time": "2026-01-01 00:00:18 GPS"}, 'time_format = "gps"'),
         ({"Time (CET)": "2026-01-01 01:00:00"}, 'time_zone = "+01:00"'),
         ({"time UTC-3:30": "2025-12-31 20:30:00"}, 'time_zone = "-03:30"'),
+        ({"Date": "2026-01-01", "Time (CET)": "01:00:00"}, 'time_zone = "+01:00"'),
         ({"Time [UTC]": "2026-01-01 00:00:00"}, 'time_format = "utc"'),
         ({"gps_time": "2026-01-01T00:00:00Z"}, 'time_format = "utc"'),
     ],

@@ -535,6 +535,8 @@ def _find_times(table: TextTable) -> _Times | None:
     if rank == 1 and (clock := _clock_column(table, column)) is not None:
         lines = [_entry(f"date_column = {toml_string(column)}", ""), *lines]
         column, others = clock, (column,)
+        if (zone := zone_of_name(clock)) is not None and not any("time_zone =" in x for x in lines):
+            lines.append(_entry(f'time_zone = "{zone}"', "by the name of the column; check this"))
     scaled = any("time_scale_s" in line for line in lines)
     if not scaled and (fractions := find_fractions(table, column)) is not None:
         how = "by the name of the column" if fractions.by_name else "check this: by the size"
