@@ -176,8 +176,15 @@ def test_a_wheel_of_the_right_sign_is_not_accused(seen):
 
 
 @pytest.mark.parametrize("seed", [11, 51])
-def test_rates_are_right_after_a_wheel_is_braked_and_the_change_is_named(seed):
+def test_rates_are_right_after_a_wheel_is_braked_and_the_change_is_named(seed, monkeypatch):
     """Without the changed momentum, passes were decided and 19 to 50 sigma off after the wheel was braked."""
+    tested, doubted_signs = [], RATES.doubted_signs
+
+    def record(obs, compared, momenta, *rest):
+        tested.append((obs.momentum, momenta))
+        return doubted_signs(obs, compared, momenta, *rest)
+
+    monkeypatch.setattr(RATES, "doubted_signs", record)
     simulated = make("wheel braked", seed, 4)
     result = estimate(simulated)
     off, covariance = result["omega_B"].values - simulated.omega, result["omega_cov_B"].values
@@ -188,3 +195,7 @@ def test_rates_are_right_after_a_wheel_is_braked_and_the_change_is_named(seed):
     assert (
         "wheel: speed changed by about" in change and f"({change}), which the file does" in verdict
     )
+    # the reversed wheel, with which the file is compared, changes its speed too: else reversed wheels were not found
+    ((momentum, momenta),) = tested
+    np.testing.assert_allclose(np.ptp(momentum - momenta[(0,)], axis=0), 0, atol=1e-12)
+    assert np.ptp(momentum, axis=0).max() > 1e-3

@@ -715,3 +715,9 @@ def test_a_counter_that_overflows_goes_on(bits, scale, tmp_path):
         tmp_path, [*counts[:20], *(counts[20:] + int(5000 / scale))], form
     )  # perhaps a reset
     assert "taken for rows out of order" in notes(gap)
+
+
+def test_a_reset_after_a_minute_is_no_overflow_of_a_counter_of_milliseconds(tmp_path):
+    counts = [0, 20_000, 40_000, 60_000, 5_000, 25_000, 45_000]
+    form = 'time_format = "elapsed"\ntime_scale_s = 0.001\nepoch_utc = "2026-01-01T00:00:00Z"'
+    assert "overflow" not in notes(read(tmp_path, counts, form))

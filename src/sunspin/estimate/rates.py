@@ -305,6 +305,9 @@ def fit_passes(
         changed = changed_wheel(vehicle, nominal, passes, fits, fitter)
         if changed is not None:
             nominal, fits, change = changed.nominal, changed.fits, changed.change.words(vehicle)
+            # a reversed wheel may change its speed too
+            of_change = nominal.obs.momentum - wheels.momentum
+            searches = search_reversed(assessment, wheels.name, nominal, longest, fitter, of_change)
     compared = [(passes[k], fits[k]) for k in longest_passes(passes)]
     doubt = doubted_signs(nominal.obs, compared, *searches, fitter)
     return FittedPasses(nominal, wheels.words, change, fits, doubt)

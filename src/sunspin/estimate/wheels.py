@@ -197,18 +197,24 @@ def reversed_momenta(
 
 
 def search_reversed(
-    assessment: Assessment, name: str, nominal: Model, longest_pass: Pass, fitter: PassFitter
+    assessment: Assessment,
+    name: str,
+    nominal: Model,
+    longest_pass: Pass,
+    fitter: PassFitter,
+    change: np.ndarray | float = 0.0,
 ) -> tuple[dict[tuple[int, ...], np.ndarray], Iterable[float]]:
     """Begin a quick search of the longest pass for each choice of reversed wheels; return their momenta and log evidence.
 
-    The momenta are those of :func:`reversed_momenta`, at all n samples of the file. The log evidence
-    (:func:`sunspin.estimate.quick.quick_evidence`) is in the same order. With a pool of processes all searches begin now; without
-    one each is made when its evidence is read. `name`: model of the wheels (a key of :func:`wheel_models`) that gives their speeds;
-    `nominal`: nominal model of the whole file.
+    The momenta are those of :func:`reversed_momenta`, at all n samples of the file, plus the `change` (n, 3) by a wheel whose speed
+    changes in a pass. The log evidence (:func:`sunspin.estimate.quick.quick_evidence`) is in the same order. With a pool of
+    processes all searches begin now; without one each is made when its evidence is read. `name`: model of the wheels (a key of
+    :func:`wheel_models`) that gives their speeds; `nominal`: nominal model of the whole file.
     """
     vehicle = assessment.vehicle
     of_wheels = momentum_of_each(vehicle, assessment.telemetry, name)
     momenta = reversed_momenta(vehicle, of_wheels, nominal.body.inertia, nominal.obs.t_s)
+    momenta = {numbers: momentum + change for numbers, momentum in momenta.items()}
     models = [
         model_of_kept(nominal.with_momentum(momentum), longest_pass)
         for momentum in momenta.values()

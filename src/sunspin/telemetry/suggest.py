@@ -166,6 +166,7 @@ LAST_MJD = 65_000.0
 """Days of the Modified Julian Date from 1995 to 2036 follow up to here; below `FIRST_DAY` they count from 2000 (MJD2000)."""
 
 LONG_UNITS_S = {
+    **dict.fromkeys(("s", "sec", "secs", "second", "seconds"), 1.0),
     **dict.fromkeys(("min", "mins", "minute", "minutes"), 60.0),
     **dict.fromkeys(("h", "hr", "hrs", "hour", "hours"), 3600.0),
     **dict.fromkeys(("d", "day", "days"), 86_400.0),
@@ -578,14 +579,15 @@ def _find_times(table: TextTable) -> _Times | None:
     """Return the column of times and how it is read; None if there is none."""
     ranked = []
     for place, column in enumerate(table.header):
-        words = _time_words(column)
+        named = _time_words(column)
+        words = set(named)
         by_name = [k for k, word in enumerate(TIME_WORDS) if word in words]
         cells = table.cells[column].tolist()
         scale = next((scale for scale in ("gps", "tai") if scale in words), "")
         scale = "gps" if "gpst" in words else scale
         if scale:  # which may also stand after each date
             cells = [cell.strip().removesuffix(scale.upper()).rstrip() for cell in cells]
-        lines = _describe_times(cells, words)
+        lines = _describe_times(cells, named)
         # 20260131 may be a number if no times of day stand next to it
         is_bare = all(map(is_compact_date, cells)) and _clock_column(table, column) is None
         if lines is not None and not is_bare:
@@ -613,6 +615,8 @@ def _find_times(table: TextTable) -> _Times | None:
     if rank == 1 and (clock := _clock_column(table, column)) is not None:
         lines = [_entry(f"date_column = {toml_string(column)}", ""), *lines]
         column, others = clock, (column,)
+        if (zone := zone_of_name(clock)) is not None and not any("time_zone =" in x for x in lines):
+            lines.append(_entry(f'time_zone = "{zone}"', "by the name of the column; check this"))
     scaled = any("time_scale_s" in line for line in lines)
     if not scaled and (fractions := find_fractions(table, column)) is not None:
         how = "by the name of the column" if fractions.by_name else "check this: by the size"
@@ -665,15 +669,16 @@ def _clock_column(table: TextTable, date_column: str) -> str | None:
     return None
 
 
-def _time_words(column: str) -> set[str]:
-    """Return the words in the name of a column of times, in small letters; seconds from J2000 have the word "j2000"."""
+def _time_words(column: str) -> list[str]:
+    """Return the words in the name of a column of times, in small letters; seconds from J2000 have the word "j2000" last."""
     name = _words(column).translate(PLAIN_SIGNS)
     is_j2000 = re.search(r"(?<![a-z])(j ?2000|j2k|tdb)(?![a-z0-9])", name) is not None
-    return set(re.findall(r"[a-z]+", name)) | ({"j2000"} if is_j2000 else set())
+    return [*re.findall(r"[a-z]+", name), *(["j2000"] if is_j2000 else [])]
 
 
-def _describe_times(cells: list[str], words: set[str]) -> list[str] | None:
-    """Return the lines for a column of times; None if the cells are no times. `words`: those of the column's name."""
+def _describe_times(cells: list[str], named: list[str]) -> list[str] | None:
+    """Return the lines for a column of times; None if the cells are no times. `named`: the words of the column's name."""
+    words = set(named)
     filled = [cell.strip() for cell in cells if cell.strip()]
     if not filled:
         return None
@@ -696,9 +701,16 @@ def _describe_times(cells: list[str], words: set[str]) -> list[str] | None:
         return None
     typical = float(np.median(known))
     steps = np.abs(np.diff(known))
-    in_days = np.any(steps) and np.median(steps[steps > 0]) < MOST_DAYS
+    usual_step = float(np.median(steps[steps > 0])) if np.any(steps) else np.inf
+    in_days = usual_step < MOST_DAYS
     sizes = LONG_UNITS_S | UNITS_S
-    named_s = next((sizes[word] for word in sorted(words) if word in sizes), None)
+    # "Time of day [s]" is in seconds, and "day_time" too if its numbers are too far apart for days
+    units_s = [
+        sizes[word] for word in " ".join(named).replace("of day", "").split() if word in sizes
+    ]
+    named_s = units_s[-1] if units_s else None
+    if named_s is not None and named_s > 1 and named_s * usual_step > MOST_DAYS * 86_400:
+        named_s = None
     units = {1.0: "s", 1e-3: "ms", 1e-6: "us", 1e-9: "ns"}
     units |= {60.0: "minutes", 3600.0: "hours", 86_400.0: "days"}
     if "j2000" in words:
@@ -724,12 +736,13 @@ def _describe_times(cells: list[str], words: set[str]) -> list[str] | None:
             _entry("time_scale_s = 86400", "days"),
             _entry("counts_leap_seconds = false", ""),
         ]
-    is_unix = typical > FIRST_UNIX_S and (named_s is None or named_s > 1)
+    is_unix = typical > FIRST_UNIX_S and (named_s is None or named_s >= 1)
     for scale in (1.0, 1e-3, 1e-6, 1e-9) if is_unix or named_s is None else (named_s,):
         if FIRST_UNIX_S < typical * scale < LAST_UNIX_S:
             scaled = [] if scale == 1 else [_entry(f"time_scale_s = {scale:g}", units[scale])]
             return [*_describe_large_count(typical * scale, units[scale], words), *scaled]
-    scaled = [] if named_s is None else [_entry(f"time_scale_s = {named_s:g}", units[named_s])]
+    is_scaled = named_s is not None and named_s != 1
+    scaled = [_entry(f"time_scale_s = {named_s:g}", units[named_s])] if is_scaled else []
     return [
         _entry('time_format = "elapsed"', "the numbers are too small for dates"),
         _entry('epoch_utc = "2000-01-01T00:00:00Z"', "REPLACE by the UTC of time zero"),

@@ -291,16 +291,19 @@ def _unwrap_uptime(
 ) -> tuple[np.ndarray, list[str]]:
     """Return elapsed times (n, s) that rise across overflows of their counter, and a sentence if there are any.
 
-    A counter has overflowed if a row follows the one before at a usual interval once `OVERFLOWS` counts are added to it.
+    A counter has overflowed if a row follows the one before at a usual interval once `OVERFLOWS` counts are added to it. Shorter or
+    longer intervals than all others are not usual: a reset after a minute is no overflow of 2^16 ms.
     """
     steps = np.diff(uptime)
     if not (steps > 0).any() or not (steps < 0).any():
         return uptime, []
-    usual_s = float(np.median(steps[steps > 0]))
+    rising, count_s = steps[steps > 0], 1.5 * form.time_scale_s
+    shortest_s = rising.min() - count_s
+    longest_s = min(rising.max() + count_s, OVERFLOW_INTERVALS * float(np.median(rising)))
     for count in OVERFLOWS:
         full_s = count * form.time_scale_s
         new_steps = steps + full_s
-        over = (new_steps > 0) & (new_steps <= OVERFLOW_INTERVALS * usual_s)
+        over = (new_steps > max(shortest_s, 0.0)) & (new_steps <= longest_s)
         # the rest must be in order: the counter would not fall otherwise
         if over.any() and (steps[~over] >= 0).all() and uptime.min() >= 0 and uptime.max() < full_s:
             added = full_s * np.cumsum(np.concatenate([[0], over]))
