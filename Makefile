@@ -18,7 +18,7 @@ SPREAD := --numprocesses auto --maxprocesses 4 --dist worksteal
 # a test that takes longer than its claim is worth is seen here
 SLOWEST := --durations=25 --durations-min=4
 
-.PHONY: help install reproduce test quick test-all test-slow docs bench studies scoreboard validate-real long bounds-checked other-pythons lint contracts style types lock clean
+.PHONY: help install reproduce test quick test-all test-slow docs bench studies scoreboard validate-real long bounds-checked other-pythons gallery lint contracts style types lock clean
 
 help:
 	@echo "make install     sunspin with all that it needs into $(VENV)/; then: . $(VENV)/bin/activate"
@@ -79,7 +79,7 @@ quick: $(READY)
 
 # what waits for packages or computes on one core goes beside the long tests; the documents are made once, of all that was shown
 test-all: quick
-	@$(MAKE) --no-print-directory -j2 --output-sync=target long other-pythons bounds-checked
+	@$(MAKE) --no-print-directory -j2 --output-sync=target long other-pythons bounds-checked gallery
 	@$(MAKE) --no-print-directory docs
 
 long: $(READY)
@@ -88,6 +88,10 @@ long: $(READY)
 # kernels that check each index, compiled into a cache of their own
 bounds-checked: $(READY)
 	NUMBA_BOUNDSCHECK=1 NUMBA_CACHE_DIR=build/bounds-checked $(BIN)/python -m pytest -q tests/dynamics/test_kernel.py tests/dynamics/test_split_kernel.py
+
+# the pictures of the documents, which `make docs` draws too if they are missing
+gallery: $(READY)
+	PYTHONPATH=docs $(BIN)/python -c 'import site_parts as site; site.draw_gallery(site.HERE / "gallery")'
 
 other-pythons: $(READY)
 	$(BIN)/python tests/support/other_pythons.py

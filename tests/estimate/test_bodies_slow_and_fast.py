@@ -83,8 +83,8 @@ RANGES = (1.0, 3.0, 8.0, 20.0)
     ("i", "limits_deg_s"),
     [
         (14, (1.0, 8.0)),
-        *(pytest.param(i, RANGES, marks=pytest.mark.long) for i in (14, 31)),
-        *(pytest.param(i, RANGES, marks=pytest.mark.slow) for i in (3, 20)),
+        pytest.param(31, RANGES, marks=pytest.mark.long),
+        *(pytest.param(i, RANGES, marks=pytest.mark.slow) for i in (3, 14, 20)),
         pytest.param(8, RANGES, marks=[pytest.mark.slow, LOSES_ONE]),
     ],
 )
@@ -123,7 +123,7 @@ def at_sparse_samples(*case):
     "case",
     [
         # 9 deg/s, samples 37 s apart, inertia off by 3 %: held fast, no start near the truth survived five samples
-        (0, 4, 1),
+        pytest.param((0, 4, 1), marks=pytest.mark.slow),
         # 4.9 deg/s, every 52 s: its alias one revolution slower costs 19 with the inertia free, the truth 9
         pytest.param((11, 7), marks=pytest.mark.slow),
     ],

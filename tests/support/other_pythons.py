@@ -29,8 +29,8 @@ SMOKE = (
 )
 """One file of each layer that compiles no kernel."""
 
-NEWEST = ("tests/cli/test_cli_system.py", "tests/cli/test_simulate.py")
-"""On the newest version alone: commands, a minute, and the compiler, which is the last to know a version."""
+NEWEST = ("tests/cli/test_cli.py", "tests/cli/test_simulate.py")
+"""On the newest version alone: commands, and the compiler, which is the last to know a version."""
 
 
 def interpreter(version: str) -> str | None:
