@@ -61,6 +61,9 @@ KINDS = {
 }
 """Number of passes of each kind."""
 
+AT_ALL_SAMPLES = ("wheel braked",)
+"""Kinds that are judged at all samples of a pass, and not only in its middle: the motion changes there."""
+
 ZERO_OFF = np.radians(0.5)
 """Error in rad/s of each axis of a gyro whose zero the vehicle file takes for known."""
 
@@ -514,7 +517,25 @@ def judge(kind: str, seed: int, i: int) -> dict[str, Any]:
             "listed": False,
             "why": str(error),
         }
-    return compare_with_truth(result, simulated)
+    row = compare_with_truth(result, simulated)
+    if kind in AT_ALL_SAMPLES:
+        row["wrong"] |= is_wrong_at_a_sample(result, simulated)
+    return row
+
+
+def is_wrong_at_a_sample(result: Any, simulated: SimulatedPass) -> bool:
+    """Return whether the rate of a result with one pass is wrong at any of its samples."""
+    times = simulated.telemetry["time"].values
+    for t, omega, covariance in zip(
+        result["time"].values,
+        result["omega_B"].values,
+        result["omega_cov_B"].values,
+        strict=True,
+    ):
+        truth = simulated.omega[np.argmin(np.abs(times - t))]
+        if is_wrong(omega, np.sqrt(np.diag(covariance)), truth):
+            return True
+    return False
 
 
 def compare_with_truth(result: Any, simulated: SimulatedPass) -> dict[str, Any]:
