@@ -29,7 +29,7 @@ FRACTION_WORDS = ("fraction", "fractions", "frac", "fractional", "subsec", "subs
 FRACTION_WORDS += ("subseconds", "fine")
 """Words for fractions whose unit is known by their size only."""
 
-TIME_WORDS = (
+CLOCK_WORDS = (
     "time",
     "times",
     "timestamp",
@@ -42,7 +42,7 @@ TIME_WORDS = (
     "epoch",
     "met",
 )
-TIME_WORDS += ("obc", "obt", "clock", "of", "part", "s", "sec", "second", "seconds", "t")
+CLOCK_WORDS += ("obc", "obt", "clock", "of", "part", "s", "sec", "second", "seconds", "t")
 """Other words in the name of such a column; with any further word it may be a duration."""
 
 FULL_SCALES = (100, 256, 1000, 65_536, 1_000_000, 2**24, 10**9, 2**32)
@@ -67,7 +67,7 @@ def find_fractions(table: TextTable, time_column: str) -> Fractions | None:
         number = plain_number(cell)
         if HAS_FRACTION.search(cell) or (np.isfinite(number) and number != round(number)):
             return None
-    known = {*TIME_WORDS, *re.findall(r"[a-z]+", time_column.lower())}
+    known = {*CLOCK_WORDS, *re.findall(r"[a-z]+", time_column.lower())}
     for column in table.header:
         words = re.findall(r"[a-z]+", column.lower().translate(PLAIN_SIGNS))
         units = [UNITS_S[word] for word in words if word in UNITS_S]

@@ -173,6 +173,10 @@ LONG_UNITS_S = {
 }
 """Words in the name of a column of times -> their unit, s; units below a second are in `UNITS_S`."""
 
+UNIT_NAMES = {1.0: "s", 1e-3: "ms", 1e-6: "us", 1e-9: "ns"}
+UNIT_NAMES |= {60.0: "minutes", 3600.0: "hours", 86_400.0: "days"}
+"""Size of a unit of time, s -> its name."""
+
 READ_SHARE = 0.5
 """Share of the cells that must be dates or numbers for a column to be taken as one of times or readings."""
 
@@ -181,22 +185,15 @@ class Suggestion(NamedTuple):
     """How a table may be read.
 
     `section`: text of a `[telemetry]` section; `columns`: the column of each face ("+X" ...); `largest`: the largest reading of
-    each face in W or A, NaN for angles; `sensors`: columns of a gyro and a magnetometer.
+    each face in W or A, NaN for angles; `sensors`: columns of a gyro and a magnetometer. `notes`: those comments of the section
+    that say what may be misread, or is not read although it is of the same panels.
     """
 
     section: str
     columns: dict[str, str]
     largest: dict[str, float]
     sensors: dict[str, AxisColumns]
-
-    @property
-    def notes(self) -> list[str]:
-        """Sentences of the section's comments on what may be read wrongly, or is not read although it is of the same panels.
-
-        Columns without a face are none: usually they hold the sum of all panels, or what a battery or a bus gives.
-        """
-        comments = (line[2:] for line in self.section.splitlines() if line.startswith("# "))
-        return [text for text in comments if not text.startswith(("not read:", "perhaps panels"))]
+    notes: list[str]
 
 
 class AxisColumns(NamedTuple):
@@ -212,6 +209,11 @@ class _Times(NamedTuple):
     column: str
     lines: list[str]
     others: tuple[str, ...] = ()
+
+    @property
+    def notes(self) -> list[str]:
+        """Sentences in the lines on what may be misread."""
+        return [line.removeprefix("# ") for line in self.lines if line.startswith("# ")]
 
 
 class _Group(NamedTuple):
@@ -240,8 +242,7 @@ class _Group(NamedTuple):
         words = _words(name)
         if (match := FACE.search(words)) is None or unit == self.unit or unit not in UNITS:
             return False
-        template = f"{words[: match.start()]}#{words[match.end() :]}"
-        return template == self.template and _face_of(match) not in self.columns
+        return _template_of(match) == self.template and _face_of(match) not in self.columns
 
 
 def suggest_section(table: TextTable, panels: dict[str, str] | None = None) -> Suggestion | None:
@@ -281,23 +282,27 @@ def suggest_section(table: TextTable, panels: dict[str, str] | None = None) -> S
         lines.append(
             f"# perhaps panels whose names say no face, such as wings; each needs a [[panel]]: {names}"
         )
+    notes = []
     if strings := _further_strings(table, [*group.columns.values()], others):
         names = ", ".join(map(toml_string, strings))
-        lines.append(
-            f"# perhaps further strings of these panels, not read; each needs a [[panel]] with the same normal_B: {names}"
+        notes.append(
+            f"perhaps further strings of these panels, not read; each needs a [[panel]] with the same normal_B: {names}"
         )
     if other := [name for name in others if group.in_another_unit(name)]:
         names = ", ".join(map(toml_string, other))
-        lines.append(
-            f"# PANELS IN ANOTHER UNIT, which one scale does not read; convert them: {names}"
+        notes.append(
+            f"PANELS IN ANOTHER UNIT, which one scale does not read; convert them: {names}"
         )
+    lines += [f"# {note}" for note in notes]
+    notes = [*time.notes, *notes]
     largest = {
         face: group.scale * float(np.nanmax(read_numbers(table, [column]), initial=-np.inf))
         for face, column in group.columns.items()
     }
     if group.quantity in ANGLE_WORDS:
         largest = dict.fromkeys(largest, np.nan)
-    return Suggestion("\n".join(lines) + "\n", group.columns, largest, _sensor_columns(table, used))
+    section, sensors = "\n".join(lines) + "\n", _sensor_columns(table, used)
+    return Suggestion(section, group.columns, largest, sensors, notes)
 
 
 def explain_missing(table: TextTable) -> tuple[str, str]:
@@ -316,10 +321,10 @@ def explain_missing(table: TextTable) -> tuple[str, str]:
             what = f"column {column[:60]!r} may be of a panel, but its unit is not known"
             return what, "write a [telemetry] section by hand, with quantity, scale and zero"
     for column in [] if has_times else table.header:
-        if set(re.findall(r"[a-z]+", _words(column))) & {*DAY_COUNTS}:
+        if _words_of(_words(column)) & {*DAY_COUNTS}:
             what = f"column {column!r} may hold days from long before our era, which are not read"
             return what, "write dates such as 2026-01-31T23:59:59Z, or days as MJD: JD - 2400000.5"
-        is_named = bool(set(re.findall(r"[a-z]+", _words(column))) & set(TIME_WORDS))
+        is_named = bool(_words_of(_words(column)) & set(TIME_WORDS))
         if is_named and (cell := _unreadable_cell(table, column)):
             what = (
                 f"column {column!r} may hold times, but they cannot be read, such as {cell[:40]!r}"
@@ -392,7 +397,7 @@ def _sensor_columns(table: TextTable, used: set[str]) -> dict[str, AxisColumns]:
     for template, columns in triples.items():
         if len(columns) < 3:
             continue
-        words = set(re.findall(r"[a-z]+", template))
+        words = _words_of(template)
         _, unit = _unit_of(table, columns["x"])
         for sensor, known in SENSOR_WORDS.items():
             if sensor not in sensors and words & set(known):
@@ -500,10 +505,20 @@ def _words(name: str) -> str:
     return re.sub(r"[._/:|#]+", " ", spaced).lower()
 
 
+def _words_of(name: str) -> set[str]:
+    """Return the words of letters in a name in small letters."""
+    return set(re.findall(r"[a-z]+", name))
+
+
 def _face_of(match: re.Match[str]) -> str:
     """Return the face that a match of `FACE` names, such as "+X"."""
     sign = match["before"] or match["after"]
     return ("+" if sign in PLUS else "-") + (match["first"] or match["second"]).upper()
+
+
+def _template_of(match: re.Match[str]) -> str:
+    """Return the name in which a match of `FACE` was found, with # in the place of the face."""
+    return f"{match.string[: match.start()]}#{match.string[match.end() :]}"
 
 
 def _best_group(table: TextTable) -> _Group | None:
@@ -515,8 +530,7 @@ def _best_group(table: TextTable) -> _Group | None:
         face = FACE.search(words)
         if face is None or not _is_numeric(table, column):
             continue
-        template = f"{words[: face.start()]}#{words[face.end() :]}"
-        groups[template, unit].setdefault(_face_of(face), column)
+        groups[_template_of(face), unit].setdefault(_face_of(face), column)
     # faces may have numbers too, or several strings: without the numbers they are one group, if it says that it is of panels
     without_numbers: dict[tuple[str, str], dict[str, str]] = defaultdict(dict)
     for (template, unit), columns in groups.items():
@@ -530,7 +544,7 @@ def _best_group(table: TextTable) -> _Group | None:
         if quantity and len(columns) > 1 and any(face[0] == "+" for face in columns):
             # of groups with the same faces means before extremes, calibrated values before counts, then the one with a stated
             # unit, then currents
-            words = set(re.findall(r"[a-z]+", f"{template} {unit}"))
+            words = _words_of(f"{template} {unit}")
             is_plain = not words & {*EXTREME_WORDS}, not words & {*COUNT_WORDS} or unit in UNITS
             rank = (len(columns), *is_plain, bool(unit), quantity == "current_A")
             judged.append((rank, _Group(columns, quantity, scale, reason, template, unit)))
@@ -546,7 +560,7 @@ def _judge_quantity(
     if multiple := MULTIPLE.fullmatch(unit):
         quantity, size = UNITS[multiple["unit"]]
         return quantity, float(multiple["factor"]) * size, f"{unit}, by the header; check this"
-    words, in_counts = set(re.findall(r"[a-z]+", template)), unit in COUNT_WORDS
+    words, in_counts = _words_of(template), unit in COUNT_WORDS
     angles = None if in_counts else _judge_angles(table, words, unit, columns)
     if angles is not None:
         return angles
@@ -633,7 +647,7 @@ def _gps_weeks(table: TextTable) -> _Times | None:
     """Return the columns of GPS weeks and of seconds of the week by their names; None if one of them is missing."""
     found = {}
     for column in table.header:
-        words = set(re.findall(r"[a-z]+", _words(column)))
+        words = _words_of(_words(column))
         is_seconds = words & {*SECONDS_OF_WEEK_WORDS} or words >= {"of", "week"}
         kind = "seconds" if is_seconds else "week" if words & {*WEEK_WORDS} else ""
         if kind and _is_numeric(table, column):
@@ -658,7 +672,7 @@ def _clock_column(table: TextTable, date_column: str) -> str | None:
     for column in table.header:
         cells = [cell.strip().lower() for cell in table.cells[column] if cell.strip()]
         # times such as 091500 stand next to dates such as 20260131
-        is_named = set(re.findall(r"[a-z]+", _words(column))) & {*TIME_WORDS}
+        is_named = _words_of(_words(column)) & {*TIME_WORDS}
         if not cells or column == date_column:
             continue
         if compact_dates and is_named and all(map(is_compact_time, cells)):
@@ -699,6 +713,12 @@ def _describe_times(cells: list[str], named: list[str]) -> list[str] | None:
     known = numbers[np.isfinite(numbers)]
     if not words & {*TIME_WORDS} or words & {*YEAR_WORDS} or len(known) < READ_SHARE * len(filled):
         return None
+    return _describe_counts(known, named)
+
+
+def _describe_counts(known: np.ndarray, named: list[str]) -> list[str]:
+    """Return the lines for a column of times that are numbers (n), from their size and steps and the words `named` of its name."""
+    words = set(named)
     typical = float(np.median(known))
     steps = np.abs(np.diff(known))
     usual_step = float(np.median(steps[steps > 0])) if np.any(steps) else np.inf
@@ -711,16 +731,14 @@ def _describe_times(cells: list[str], named: list[str]) -> list[str] | None:
     named_s = units_s[-1] if units_s else None
     if named_s is not None and named_s > 1 and named_s * usual_step > MOST_DAYS * 86_400:
         named_s = None
-    units = {1.0: "s", 1e-3: "ms", 1e-6: "us", 1e-9: "ns"}
-    units |= {60.0: "minutes", 3600.0: "hours", 86_400.0: "days"}
     if "j2000" in words:
         small = (scale for scale in (1.0, 1e-3, 1e-6, 1e-9) if typical * scale < LAST_UNIX_S)
         in_days_s = 86_400.0 if in_days and typical < LAST_DAY else None
         scale = named_s or in_days_s or next(small, 1.0)
         return [
-            _entry('time_format = "elapsed"', f"{units[scale]} from J2000"),
+            _entry('time_format = "elapsed"', f"{UNIT_NAMES[scale]} from J2000"),
             _entry(f'epoch_utc = "{J2000_UTC}"', "12:00 TT; check this: or 12:00 UTC"),
-            *([] if scale == 1 else [_entry(f"time_scale_s = {scale:g}", units[scale])]),
+            *([] if scale == 1 else [_entry(f"time_scale_s = {scale:g}", UNIT_NAMES[scale])]),
             _entry("counts_leap_seconds = true", ""),
         ]
     is_mjd = "mjd" in words or (LAST_DAY <= typical < LAST_MJD and in_days)
@@ -739,10 +757,10 @@ def _describe_times(cells: list[str], named: list[str]) -> list[str] | None:
     is_unix = typical > FIRST_UNIX_S and (named_s is None or named_s >= 1)
     for scale in (1.0, 1e-3, 1e-6, 1e-9) if is_unix or named_s is None else (named_s,):
         if FIRST_UNIX_S < typical * scale < LAST_UNIX_S:
-            scaled = [] if scale == 1 else [_entry(f"time_scale_s = {scale:g}", units[scale])]
-            return [*_describe_large_count(typical * scale, units[scale], words), *scaled]
+            scaled = [] if scale == 1 else [_entry(f"time_scale_s = {scale:g}", UNIT_NAMES[scale])]
+            return [*_describe_large_count(typical * scale, UNIT_NAMES[scale], words), *scaled]
     is_scaled = named_s is not None and named_s != 1
-    scaled = [_entry(f"time_scale_s = {named_s:g}", units[named_s])] if is_scaled else []
+    scaled = [_entry(f"time_scale_s = {named_s:g}", UNIT_NAMES[named_s])] if is_scaled else []
     return [
         _entry('time_format = "elapsed"', "the numbers are too small for dates"),
         _entry('epoch_utc = "2000-01-01T00:00:00Z"', "REPLACE by the UTC of time zero"),

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import ClassVar, Literal
 
 import numpy as np
@@ -170,16 +171,7 @@ class WheelChange(Term):
         """
         if not self.time_sigma_s:
             return None
-        # momentum (n, 3) at the samples by one sigma of each error of the ramp, and what its integral has beyond the trapezoids
-        ramps = [self.with_errors(u) for u in RAMP_DIFFERENCE * np.eye(3)]
-        before = self.ramp.change(self.t_s), self._beyond_trapezoid(self.ramp)
-        momentum = np.stack([ramp.change(self.t_s) - before[0] for ramp in ramps], axis=1)
-        beyond = np.stack([self._beyond_trapezoid(ramp) - before[1] for ramp in ramps], axis=1)
-        momentum, beyond = momentum / RAMP_DIFFERENCE, beyond / RAMP_DIFFERENCE
-
-        at_knots = self._at_knots()
-        momentum = np.concatenate([momentum, at_knots], axis=1)
-        beyond = np.concatenate([beyond, np.zeros_like(at_knots[1:])], axis=1)
+        momentum, beyond = self._by_errors
         omega = (states.omega[:, :-1] + states.omega[:, 1:]) / 2
         mean, change = (momentum[:-1] + momentum[1:]) / 2, np.diff(momentum, axis=0) / dt[:, None]
         torque = -self.axis_B[:, None] * change[:, None]
@@ -201,6 +193,19 @@ class WheelChange(Term):
         turn = -np.linalg.solve(self.inertia, self.axis_B)
         half = states.omega[:, :-1] * dt[:, None] / 2
         return rotate_attitude(np.broadcast_to(np.eye(3), (*half.shape, 3)), half) @ turn
+
+    @cached_property
+    def _by_errors(self) -> tuple[np.ndarray, np.ndarray]:
+        """The momentum (n, m) at the samples by one sigma of each error, and its integral (n - 1, m) beyond the trapezoids."""
+        momentum_0, beyond_0 = self.ramp.change(self.t_s), self._beyond_trapezoid(self.ramp)
+        ramps = [self.with_errors(u) for u in RAMP_DIFFERENCE * np.eye(3)]
+        momentum = np.stack([ramp.change(self.t_s) - momentum_0 for ramp in ramps], axis=1)
+        beyond = np.stack([self._beyond_trapezoid(ramp) - beyond_0 for ramp in ramps], axis=1)
+        momentum, beyond = momentum / RAMP_DIFFERENCE, beyond / RAMP_DIFFERENCE
+        # the momentum at knots is linear between samples
+        at_knots = self._at_knots()
+        momentum = np.concatenate([momentum, at_knots], axis=1)
+        return momentum, np.concatenate([beyond, np.zeros_like(at_knots[1:])], axis=1)
 
     def _at_knots(self) -> np.ndarray:
         """Return the momentum (n, `KNOTS`) at the samples by one sigma of its error at each of several times about the ramp.
