@@ -227,6 +227,17 @@ def test_a_wrong_alias_is_outweighed_by_neighbouring_passes(misled):
     assert all(one.probability.sum() == pytest.approx(1.0) for one in linked)
 
 
+def test_a_pass_that_lacks_the_true_motion_does_not_decide_the_others():
+    """Each pass but the first prefers the truth; the first knows two aliases alone, which the others have too."""
+    truth, aliases = np.array([-0.007, 0, 0]), np.array([[0.62, 0, 0], [-0.635, 0, 0]])
+    sigma = np.array([[1e-4, 1e-4, 1e-4], [3e-4, 9e-3, 9e-3], [3e-4, 9e-3, 9e-3]])
+    lost = Solved(np.array([0.6, 0.4]), aliases, sigma[1:])
+    whole = Solved(np.array([0.8, 0.1, 0.1]), np.vstack([truth, aliases]), sigma)
+    linked, _ = link_passes([lost, whole, whole, whole], TIMES[:4], 1.2)
+    assert all(one.probability[0] > 0.9 for one in linked[1:])
+    assert linked[0].probability.max() < 0.9
+
+
 def test_passes_with_large_rate_changes_are_not_linked():
     alone = passes(np.random.default_rng(1), 0.3)
     linked, walk = link_passes(alone, TIMES, 0.1)

@@ -67,7 +67,7 @@ def two_solutions(probability, sigma=1e-6):
     track = Track(attitude, omega, np.zeros((2, 0)), np.zeros(2), covariance)
     obs = Observations(t_s, momentum, ())
     known = np.full((2, 3), sigma)
-    means, rest = (np.array(probability), RATES, known), (np.zeros(2), ({}, {}), 1.0)
+    means, rest = (np.array(probability), RATES, known), (np.zeros(2), ({}, {}), ((), ()), 1.0)
     return Solutions(obs, track, *means, {}, ("as stated", 1.0), *rest), body
 
 

@@ -47,6 +47,7 @@ TWO = {"omega": np.eye(3)[[0, 0]], "sigma": np.full((2, 3), 0.1), "probability":
         ({"misfits": {"Sun": Misfit(300, 0.34, 1.0)}}, "POOR FIT (Sun)"),
         ({"misfits": SOUND | {"gyro": Misfit(40, 0.5, 1.0)}}, "POOR FIT (gyro)"),
         ({"explained": False}, "POOR FIT"),
+        ({"misfits": SOUND | {"gyro": SOUND["Sun"]}, "denied": ("gyro",)}, "POOR FIT (gyro)"),
         ({"left_open": "give more effort"}, "search incomplete (give more effort)"),
     ],
 )

@@ -12,6 +12,7 @@ import sys
 import warnings
 from collections.abc import Generator
 from contextlib import contextmanager
+from typing import Any
 
 INTERRUPTED = "interrupted; nothing half-written was left behind, run the same command again"
 
@@ -67,7 +68,7 @@ def main() -> None:
     atexit.register(gc.freeze)
     try:
         try:
-            with _seldom_collecting():
+            with _seldom_collecting(), _without_dask():
                 code = cli.main(prog_name="sunspin", standalone_mode=False)
         finally:
             accept_interruption()
@@ -128,6 +129,22 @@ def _seldom_collecting() -> Generator[None]:
         yield
     finally:
         gc.set_threshold(*threshold)
+
+
+@contextmanager
+def _without_dask() -> Generator[None]:
+    """Hide dask from xarray, which would import it wherever it is installed, for half a second; a scheduler alone needs it."""
+    hidden = "dask" not in sys.modules and not any(
+        word.startswith("--scheduler") for word in sys.argv
+    )
+    modules: dict[str, Any] = sys.modules
+    if hidden:
+        modules["dask"] = None  # an import of it raises ModuleNotFoundError
+    try:
+        yield
+    finally:
+        if hidden:
+            del modules["dask"]
 
 
 def _prepare_streams() -> None:

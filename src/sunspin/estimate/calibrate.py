@@ -196,7 +196,7 @@ def _fit_in_orbit(
 ) -> Calibration | None:
     """Return magnetometer and Sun sensors fitted along the orbit; None, with a note, if the data do not determine them.
 
-    Raises InputError for an orbit that the telemetry contradicts.
+    Raises InputError for an orbit that the telemetry contradicts. With Sun sensors the check may have made this fit already.
     """
     vehicle = assessment.vehicle
     what = "magnetometer and Sun sensors" if vehicle.sensors.sun_sensors else "magnetometer"
@@ -208,7 +208,7 @@ def _fit_in_orbit(
     check = check_orbit(orbit, vehicle, assessment)
     _require_consistent(check)
     notes.append(f"orbit: {check.verdict.value}")
-    start = check.start(orbit)
+    start = check.start(orbit)  # the magnetometer as the check fitted it, None if it did not
     if start is not None and readings.has_field.any():
         fitted = check.fitted_sensors or fit_sensors(
             orbit, vehicle, readings, start, priors(vehicle, readings, orbit)

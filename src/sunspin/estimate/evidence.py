@@ -321,12 +321,12 @@ def share_noise(passes: Sequence[PassFits], s: LadderSettings) -> list[PassFits]
 def best_motions(fits: Sequence[Fit], count: int, search_settings: SearchSettings) -> Track:
     """Return the `count` most probable motions of the nominal model under any strength of torques, without copies.
 
-    Other fits begin from them. The result is empty if the nominal model has no fit.
+    Other fits begin from them. None is left out as improbable. The result is empty if the nominal model has no fit.
     """
     nominal_fits = [fitted for fitted in fits if fitted.model.what == AS_STATED and len(fitted)]
     if not nominal_fits:
-        # no motion, with the shapes of those of another model
-        return fits[0].motions.take(slice(0)) if fits else Track.free(*np.zeros((2, 0, 0, 3)))
+        none = Track.free(np.zeros((0, 0, 3, 3)), np.zeros((0, 0, 3)))  # no motion, at no samples
+        return fits[0].motions.take(slice(0)) if fits else none
     motions = Track.joined([fitted.to_begin_from for fitted in nominal_fits])
     log_evidence = np.concatenate([fitted.log_evidence for fitted in nominal_fits])
     t_s = nominal_fits[0].model.obs.t_s

@@ -27,6 +27,9 @@ FIELD_TURNS, SUN_TURNS = 8, 6
 FIT_STEPS = 12
 """Steps of these fits. Their results start further fits."""
 
+COARSE_STARTS, COARSE_RAD = 5, 1.0
+"""Motions of a search that are fitted with coarse errors of a known field first, and these errors, as a part of the field."""
+
 
 def models_to_search(nominal: Model, noise: Noise) -> list[Model]:
     """Return the models that a search uses: without unknowns, under random torques of the strength `noise`.
@@ -126,3 +129,23 @@ def prepare_fit(model: Model, motions: Track) -> Track:
             attitude, u[:, own] = term.first_guess(States(attitude, motions.omega), sun_angle_known)
             sun_angle_known |= term.about_sun
     return Track(attitude, motions.omega, u)
+
+
+def with_coarse_field_fits(model: Model, motions: Track) -> Track:
+    """Return K motions, and after them the first `COARSE_STARTS` fitted with errors of a known field of `COARSE_RAD`.
+
+    A search by the Sun compares the field at neighbouring samples alone, so its motion may be off by radians about the Sun at the
+    ends of a pass. A fit that begins there takes the field at some samples for outliers, and twists the motion by a revolution
+    between them. With coarse errors there is no outlier. Without these fits the true motion of a spinner at 0.38 deg/s cost 187 in
+    place of 31, and one that was a revolution in 10 s faster was decided. The motions are returned unchanged if no field is known.
+    """
+    if not (any(isinstance(term, KnownField) for term in model.obs.terms) and len(motions)):
+        return motions
+    drift_rad = np.full(len(model.obs), COARSE_RAD)
+    coarse_terms = tuple(
+        term.loosened(drift_rad, 0.0) if isinstance(term, KnownField) else term
+        for term in model.obs.terms
+    )
+    coarse = replace(model, obs=replace(model.obs, terms=coarse_terms))
+    fitted = fit(coarse, motions.take(slice(COARSE_STARTS)), FIT_STEPS).motions
+    return Track.joined([motions, Track(fitted.attitude, fitted.omega, fitted.u)])

@@ -31,6 +31,7 @@ from sunspin.estimate.field_led import (
     prepare_fit,
     sunlit_window,
     to_nominal_axes,
+    with_coarse_field_fits,
     with_known_field,
 )
 from sunspin.estimate.images import images_of, with_images
@@ -319,7 +320,9 @@ def fit_tracks(
     """Return fits of motions of a search and their images under every strength of torques, first that of the search, `noise`."""
     fits = []
     for motions in tracks:
-        begin = prepare_fit(nominal.under(noise), with_images(motions, nominal, s.search))
+        under = nominal.under(noise)
+        begin = prepare_fit(under, with_images(motions, nominal, s.search))
+        begin = with_coarse_field_fits(under, begin)
         fits += ladder(nominal, begin, s.ladder, s.search, noise)
     fits = merge_fits(fits, s.ladder, s.search)
     again = begin_again(fits, s)

@@ -325,7 +325,9 @@ def verdict_variables(
         covariance = of_pass.track.covariance[:, mid, RATE, RATE]
         motions = AtOnce(of_pass.probability, omega, covariance, either_side(of_pass.track))
         explained = bool(of_pass.track.cost[0] <= of_pass.cost_limit)
-        checks, speed = answers(motions, rate_sigma, by_sensor, explained, left_open)
+        checks, speed = answers(
+            motions, rate_sigma, by_sensor, explained, left_open, of_pass.denied[0]
+        )
         sigma = np.sqrt(np.einsum("kii->ki", covariance))
         # Directions of one kind alone, of the Sun or of the field, do not confirm the columns: a reversed axis fits with the
         # mirrored motion, whose speed is the same.

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.special import logsumexp
+from scipy.special import chdtri, logsumexp
 
 from sunspin.estimate.carry import RATE
 from sunspin.estimate.chain import Fit, variance_of
@@ -15,6 +15,7 @@ from sunspin.estimate.dense import propagate_to_all, residuals_by_sensor
 from sunspin.estimate.evidence import PassFits
 from sunspin.estimate.model import AS_STATED, Model, Observations, Track
 from sunspin.estimate.settings import SearchSettings, SolutionSettings
+from sunspin.estimate.terms.field import FieldChange
 from sunspin.estimate.terms.panels import Panels
 from sunspin.solve.rotations import rotation_between
 
@@ -27,6 +28,10 @@ ARRAYS = ("probability", "mean", "mean_sigma", "noise")
 LEAST_SHARE = 0.05
 """Motions with less than this share of a solution's probability do not count in the sigma of its mean rate."""
 
+DENIED = 1e-5
+"""Probability of errors of a magnetometer's axes and scales as large as the fitted ones. 55 passes of spinners whose file states
+the right axes have 0.16 and more; of one that was read along other axes three passes had 5e-7 and less, and were decided."""
+
 
 @dataclass(frozen=True)
 class Solutions:
@@ -34,8 +39,9 @@ class Solutions:
 
     `probability` (K); `mean` and `mean_sigma` (K, 3) in rad/s: of the rate averaged over the pass. `residual`: by sensor (K, n), in
     sigmas. `model`: name and probability of the nominal model, or of the most probable one if that is improbable. `noise` (K):
-    strength of unknown torques, rad/s^1.5. `estimates`: for each solution name -> unit, value, sigma. `cost_limit`: beyond it no
-    motion fits. `without_periods` (K): the probability without observed periods of the rotation.
+    strength of unknown torques, rad/s^1.5. `estimates`: for each solution name -> unit, value, sigma. `denied`: for each solution the
+    sensors whose axes it denies. `cost_limit`: beyond it no motion fits. `without_periods` (K): the probability without observed
+    periods of the rotation.
     """
 
     obs: Observations
@@ -47,6 +53,7 @@ class Solutions:
     model: tuple[str, float]
     noise: np.ndarray
     estimates: tuple[dict[str, tuple[str, float, float]], ...]
+    denied: tuple[tuple[str, ...], ...]
     cost_limit: float
     without_periods: np.ndarray | None = None
 
@@ -60,8 +67,10 @@ class Solutions:
             for sensor in parts[0].residual
         }
         estimates = tuple(estimate for part in parts for estimate in part.estimates)
+        denied = tuple(sensors for part in parts for sensors in part.denied)
         track = Track.joined([part.track for part in parts])
-        return replace(parts[0], track=track, residual=residual, estimates=estimates, **arrays)
+        listed = {"residual": residual, "estimates": estimates, "denied": denied}
+        return replace(parts[0], track=track, **listed, **arrays)
 
     def take(self, which: np.ndarray) -> Solutions:
         """Return some of the solutions, by index."""
@@ -71,6 +80,7 @@ class Solutions:
             residual={sensor: sigmas[which] for sensor, sigmas in self.residual.items()},
             without_periods=None if self.without_periods is None else self.without_periods[which],
             estimates=tuple(self.estimates[k] for k in which),
+            denied=tuple(self.denied[k] for k in which),
             **{name: getattr(self, name)[which] for name in ARRAYS},
         )
 
@@ -240,6 +250,7 @@ def _solution(group: list[WeightedMotion], whole: Observations, kept: np.ndarray
         model=(model.what, 1.0),  # `solutions` replaces it, and the limit
         noise=np.sqrt(np.median(noise_square, keepdims=True)),
         estimates=(estimates(head),),
+        denied=(denied_sensors(head),),
         cost_limit=np.inf,
     )
 
@@ -278,3 +289,15 @@ def estimates(fitted: Fit) -> dict[str, tuple[str, float, float]]:
         name: (unit, float(a + g @ u), float(np.sqrt(max(g @ covariance @ g, 0))))
         for name, (unit, a, g) in rows.items()
     }
+
+
+def denied_sensors(fitted: Fit) -> tuple[str, ...]:
+    """Return the sensors whose axes and scales a fit (K = 1) needs farther from those of the file than errors of them may be.
+
+    That is asked of a magnetometer without an orbit alone: through a matrix of errors that is many sigmas off its readings may fit
+    a wrong motion.
+    """
+    unknowns = zip(fitted.model.unknowns, fitted.motions.u[0], strict=True)
+    errors = np.array([value for unknown, value in unknowns if unknown.kind == "field_matrix"])
+    is_denied = len(errors) and errors @ errors > chdtri(len(errors), DENIED)
+    return (FieldChange.label,) if is_denied else ()

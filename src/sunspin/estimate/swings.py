@@ -145,14 +145,14 @@ def log_mean_likelihood(obs: Observations, wander: np.ndarray) -> np.ndarray:
 def _upper_bound(model: Model, motion: Track, wander: np.ndarray) -> np.ndarray:
     """Return an approximate upper bound (w) of :func:`log_mean_likelihood` for bodies that wander by `wander` (w), rad s^-0.5.
 
-    Each sample counts the share that its reading allows of the directions that the Sun may have reached since the sample before.
-    The errors of the readings are those at one motion (K = 1), which must fit. The bound is quick to compute.
+    Of the directions that the Sun may have reached since the sample before, a reading allows a share. The logs of these shares are
+    added up. The errors of the readings are those at one motion (K = 1), which must fit. The bound is quick to compute.
     """
     # torques so strong that the equations of motion determine nothing: the matrix is that of the readings
     readings_only = replace(model, noise=Noise(1.0))
     information = equations(readings_only, motion).diagonal[0, :, TURN, TURN]
-    # The two larger eigenvalues are of turns that move the Sun. Both areas are those of Gaussians, over 2 pi: that which a reading
-    # allows, and that which the Sun may reach, up to the whole sphere of 4 pi; before the first sample it is that.
+    # Two areas, over 2 pi. `allowed` by a reading is that of a Gaussian: the two larger eigenvalues are of turns that move the Sun.
+    # `reach` of the Sun is that of a Gaussian too, but at most 2, the whole sphere. At the first sample it is 2.
     across = np.linalg.eigvalsh(information)[:, 1:]
     allowed = 1 / np.sqrt(np.maximum(across.prod(axis=1), 1e-300))
     reach = np.minimum(wander[:, None] ** 2 * np.diff(model.obs.t_s, prepend=-np.inf), 2.0)

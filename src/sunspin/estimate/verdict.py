@@ -238,15 +238,16 @@ def answers(
     misfits: Mapping[str, Misfit],
     explained: bool,
     left_open: str,
+    denied: Sequence[str] = (),
 ) -> tuple[Answers, np.ndarray]:
     """Return the results of the four checks of a pass, and quantiles `SPEEDS` of the speed (K, 3) of its K solutions, rad/s.
 
     `motions`: the solutions at one instant; the first one is judged. `rate_sigma` (rad/s): prior sigma of a component; `misfits`:
     by sensor. `explained`: the cost of the best motion is at most `Observations.cost_limit`. `left_open`: what the search may have
-    left out, in words; empty if nothing.
+    left out, in words; empty if nothing. `denied`: sensors that fit only with axes far from those of the file.
     """
     probability, omega, covariance, one_rate = motions
-    wrong = tuple(name for name, sensor_misfit in misfits.items() if not sensor_misfit.fits)
+    wrong = tuple(name for name, seen in misfits.items() if name in denied or not seen.fits)
     sigma = spread_of(omega, np.einsum("kii->ki", covariance), probability)
     known_x, known_y, known_z = (sigma < NARROWER * rate_sigma).tolist()  # NaN is not constrained
     drawn = drawn_speeds(omega, covariance)

@@ -25,7 +25,7 @@ from sunspin.landing.contact import Shape, build_shape, first_contact, rest_face
 from sunspin.landing.flight import angle_about, fly, rz_time_shares, transfer_directions
 from sunspin.landing.outcome_data import BINS, VARIABLES, extra_dimension, outcome_dataset
 from sunspin.landing.scenario import (
-    STEEPEST_SINE,
+    FLATTEST_SINE,
     Scenario,
     Strategy,
     case_scenario,
@@ -171,11 +171,11 @@ class OutcomeRows:
     def approach_s(self) -> float:
         """Duration (s) of the last metres, in which a point may touch the ground before the centre of mass would.
 
-        It is that of the flattest landing (`STEEPEST_SINE`) and of the point farthest from the centre of mass, with a margin of
+        It is that of the flattest landing (`FLATTEST_SINE`) and of the point farthest from the centre of mass, with a margin of
         2 % and 1 s.
         """
         reach = 0.0 if self.shape is None else self.shape.reach_m
-        return 1.02 * reach / (STEEPEST_SINE * self.scenario.landing_speed_m_s) + 1.0
+        return 1.02 * reach / (FLATTEST_SINE * self.scenario.landing_speed_m_s) + 1.0
 
     def __call__(self, index: np.ndarray) -> dict[str, np.ndarray]:
         """Return name of `VARIABLES` -> values (n, ...) of the runs with the numbers `index` (n).
@@ -366,7 +366,7 @@ class OutcomeRows:
         ----------
         rows : (n)
             Numbers of the runs in `draw` and `out`.
-        t_s : (n_t)
+        t_s : (n_t), s, instants of the last metres
         directions : (2, n, n_t, 3)
             Vertical and direction to the orbiter, body axes.
         omega_B : (n, n_t, 3), rad/s
@@ -375,9 +375,9 @@ class OutcomeRows:
         if not len(rows) or shape is None:
             return
         (up, orbiter), speed = directions, self.scenario.landing_speed_m_s
-        # Cosine law: a plane of any direction is hit in proportion to the area it shows, so that the square of the sine of the
-        # velocity above the plane (normal speed over speed) is uniform.
-        sine = np.sqrt(STEEPEST_SINE**2 + (1 - STEEPEST_SINE**2) * draw["incidence"][rows])
+        # Cosine law: a plane of any direction is hit in proportion to the area that it shows. So the square of `sine`, which is
+        # normal speed over speed, is uniform; flatter landings than the flattest are left out.
+        sine = np.sqrt(FLATTEST_SINE**2 + (1 - FLATTEST_SINE**2) * draw["incidence"][rows])
         contact = first_contact(shape, t_s, up, omega_B, speed * sine)
         velocity = speed * directions_at_angle(-contact.up_B, sine, draw["heading"][rows])
         point = shape.points_B_m[contact.point]
@@ -389,7 +389,7 @@ class OutcomeRows:
             tips = np.array([leg.tip_B_m for leg in legs])
             at_tips = velocity[:, None] + np.cross(contact.omega_B[:, None], tips)
             out["leg_tip_speed"][rows] = np.linalg.norm(at_tips, axis=2).max(axis=1)
-            rate = np.linalg.norm(contact.omega_B, axis=1)
+            rate = np.linalg.norm(contact.omega_B, axis=1)  # the bound is v + |l| |omega| (paper)
             out["leg_tip_bound"][rows] = speed + rate * np.linalg.norm(tips, axis=1).max()
         # direction to the orbiter at the contact, interpolated linearly between samples
         i = np.arange(len(rows))

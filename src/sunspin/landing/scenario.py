@@ -19,7 +19,7 @@ from sunspin.vehicle import Vehicle
 SPIRAL = 20_000
 """Number of directions, evenly spread over the sphere and 1.5 degrees apart, from which the local vertical is drawn."""
 
-STEEPEST_SINE = 0.2
+FLATTEST_SINE = 0.2
 """Smallest ratio of normal speed to speed at the landing (12 degrees): flatter landings would last too long to sample."""
 
 DRAWS = (
@@ -50,7 +50,7 @@ class Scenario:
     collision_speed_m_s : speed of the centre of mass at the collision; None: no collision. Its direction is any with a component
         along `collision_axis_B`.
     landing_speed_m_s : speed at the landing. Its angle to the ground's normal is drawn by the cosine law: a plane is hit in
-        proportion to the area that it shows to the velocity (see `STEEPEST_SINE`).
+        proportion to the area that it shows to the velocity (see `FLATTEST_SINE`).
     restitution, damper : of the collision, see :func:`sunspin.impact`.
     vertical : distribution of the ground's normal at the landing, a direction fixed in space, body axes at the touchdown.
         "legs_down": all directions for which the end of a leg was the lowest point at the touchdown. "any": all directions. A

@@ -89,18 +89,18 @@ class Shooting:
             self.notes.append(text)
 
     def fit(self, motions: LanderMotions, window: slice) -> LanderMotions:
-        """Return motions fitted to the samples of a window, under one level of noise after the other.
+        """Return motions fitted to the samples of a window, under one level after the other: a factor on the noise, with its steps.
 
-        Fits that are far too bad after the first level end there. In windows larger than the first one in which body and wheel are
-        free, the distinct motions are fitted again with new derivatives. A further sample moves a motion far along its ridge, and
-        with old derivatives the noise would explain the misfit. The second fit takes as long as the first.
+        Motions that fit far too badly after the first level go no further. In windows larger than the first one in which body and
+        wheel are free, the distinct motions are fitted twice, as a new sample moves a motion far along its ridge. A fit computes
+        derivatives only once, where it begins, and they do not hold so far away. The second fit takes as long as the first.
         """
         shooting = self.shooting
         problem, held = self._problem(window)
-        # motions that come from the grid of starts have no times of placing yet
+        # motions of the grid of starts were never fitted to a window: `neighbours_s` is still empty
         levels = shooting.levels if len(motions.neighbours_s) else shooting.first_levels
-        # under the wider noise of the first level only motions that do not fit cost more than this
-        excess = np.log(levels[0][0]) + shooting.not_yet  # for each number to explain
+        # Only motions that do not fit cost more than this. Noise wider by a factor adds the log of it to the cost of each number.
+        excess = np.log(levels[0][0]) + shooting.not_yet  # of each number
         hopeless = self.cost_limit(window) + _explained(problem.model) * excess
         fit = partial(fit_window, problem, levels=levels, hopeless=hopeless, held=held)
         fitted = self._fitted(problem, motions, fit)

@@ -283,9 +283,9 @@ def grid_starts(
 def settled_starts(
     grid: RateGrid, panels: PanelPowers, reference: Reference, s: GridSettings, workers: int = 1
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the starts that settle in the cells of a grid: rates (n, 3), directions (n, 3) at the reference, and misfits (n).
+    """Return the starts that :func:`search_cells` finds: rates (n, 3) and directions (n, 3) at the reference, and misfits (n).
 
-    Misfits of the readings at the other samples are tabulated once for directions on a grid over the sphere, the nodes.
+    First its :class:`Tables` of the other samples are computed, for directions all over the sphere, the nodes.
     """
     nodes, others = cube_nodes(s.nodes), panels.take(reference.others)
     directions = np.repeat(nodes[:, None], len(reference.others), axis=1)

@@ -295,9 +295,9 @@ class CoarseGrid(NamedTuple):
 
 @compiled
 def write_interpolated(coarse, m, low, part, q):
-    """Write the rest of the rotation to time m, a unit quaternion, into q (4): trilinear between the runs at a cell's corners.
+    """Write the rest of the rotation (:func:`without_sphere`) to time m into q (4): trilinear between the runs at a cell's corners.
 
-    `low` (3): position of the cell's lowest corner along the axes of the coarse cube; `part` (3): place in the cell, 0 to 1.
+    `coarse`: :class:`CoarseGrid`. `low` (3): indices of the cell's lowest corner along its axes; `part` (3): place, 0 to below 1.
     """
     side, first = coarse.coarse_side, 0
     q[:] = 0.0
@@ -307,7 +307,7 @@ def write_interpolated(coarse, m, low, part, q):
             upper = corner >> (2 - axis) & 1
             index = index * side + low[axis] + upper
             weight *= part[axis] if upper else 1.0 - part[axis]
-        # a corner without weight may lie outside the table
+        # A corner without weight may lie outside the table. The first corner always has weight, as `part` is below 1.
         row = coarse.row_of[index] if weight > 0 else first
         if corner == 0:
             first = row

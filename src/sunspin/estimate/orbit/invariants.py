@@ -225,10 +225,10 @@ def fit_magnetometer(
 ) -> tuple[MagnetometerModel, MagnetometerState]:
     """Return a magnetometer fitted at each of K offsets by n samples that all have a field: the model, and the fitted state.
 
-    `scatter` (2): as in :class:`OffsetFits`, if it is not to be fitted. No first guess is needed. First the strength is fitted as
-    |matrix reading - zero| = predicted strength, which gets near from anywhere. But noise in the readings draws such a fit to a
-    matrix that is too small, with far too large a zero (regression dilution). So, from there, the distance of each reading from the
-    nearest reading of the predicted strength is fitted, which has no such error.
+    `scatter` (2): as in :class:`OffsetFits`; None: it is fitted too. No first guess is needed. The first fit makes |matrix reading
+    - zero| equal to the predicted strength, and gets near from anywhere. But noise of the readings makes its matrix too small, and
+    its zero far too large (regression dilution). The second fit begins there, and has no such error. Its residual is the distance
+    of each reading from the nearest one that has the predicted strength.
     """
     size = np.linalg.norm(readings.field, axis=1)
     usual = float(np.median(size[size > 0])) if (size > 0).any() else 1.0

@@ -111,7 +111,7 @@ def orbit_readings(assessment: Assessment, most: int) -> Readings:
     if assessment.has_panels:
         directions, by_earth = sun_by_panels(assessment)
         sun, covariance = directions["sun_B"].values, directions["sun_cov_B"].values
-        panel_sigma = directions["sigma_rad"].values / np.sqrt(2)
+        panel_sigma = directions["sigma_rad"].values / np.sqrt(2)  # about one of two axes
         status = directions["status"].values
         light = np.where(status == SunStatus.DARK, 0.0, 1.0)
         light[status == SunStatus.MISSING] = np.nan
@@ -123,7 +123,7 @@ def orbit_readings(assessment: Assessment, most: int) -> Readings:
         sun = np.where(known[:, None], by_sensors, sun)
         sensor_covariance = telemetry["sun_sensor_cov_B"].values
         covariance = np.where(known[:, None, None], sensor_covariance, covariance)
-        light = np.where(known, 1.0, np.where(np.isfinite(light), light, 0.0))
+        light = np.where(known, 1.0, np.where(np.isfinite(light), light, 0.0))  # neither: dark
         by_earth = by_earth & ~known
         sun_vector = vehicle.sensors.sun_vector
         if sun_vector is not None and not n_sensors and not assessment.has_panels:

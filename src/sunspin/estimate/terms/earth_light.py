@@ -163,9 +163,9 @@ class EarthLight:
         return best_attitude, best_u
 
     def _guesses(self, m: int, about_sun: bool) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-        """Yield guesses of the Earth's light: a rotation (3, 3), and values of the m unknowns.
+        """Yield guesses of the Earth's light: a rotation matrix (3, 3), and values of the m unknowns.
 
-        The rotation takes components in axes with z towards the Sun to those in axes with z along the sum of Sun and Earth's light.
+        The matrix converts vectors from N, with z towards the Sun, to axes with z along the sum of Sun and Earth's light.
         """
         if self.known_N is not None:
             # The light is known in N, so the unknowns are zero. The rotation about the sum of both may be open: several are tried.
@@ -174,7 +174,7 @@ class EarthLight:
             for angle in 2 * np.pi / N_AZIMUTHS * np.arange(1 if about_sun else N_AZIMUTHS):
                 yield rotate_attitude(to_sum, -angle * SUN_N), np.zeros(m)
             return
-        sigma_component = np.linalg.norm(self.light_N[0, 0])
+        sigma_component = np.linalg.norm(self.light_N[0, 0])  # unknowns 0 to 2: x, y, z, alike
         for direction in FIRST_DIRECTIONS:
             for share in FIRST_SHARES:
                 # a component has the sigma of the whole vector over sqrt(3)

@@ -376,6 +376,11 @@ class KnownField(Term):
         sigma, no_unknowns = float(np.hypot(self.noise_T, own_T)), np.zeros((len(self.t_s), 0, 3))
         return [FieldChange(self.t_s, self.read_B, sigma, drift_N=no_unknowns)]
 
+    def loosened(self, drift_rad: np.ndarray, drift_rad_s: float) -> Self:
+        """Return the readings with larger errors, for a motion whose attitude is off by `drift_rad` (n)."""
+        by_drift = drift_rad * np.linalg.norm(self.field_N, axis=1)
+        return replace(self, sigma_T=np.hypot(self.sigma_T, by_drift))
+
     def without_errors(self) -> Self:
         """Return the readings without unknowns; the common errors of the sensor are added to the noise."""
         own = np.sqrt((self.own_B**2).sum(axis=(1, 2)) / 3)

@@ -360,10 +360,10 @@ class JoinedResponse(PanelResponse):
         return np.array([self._follow_arc(begin, lit, sign) for sign in (1.0, -1.0)])
 
     def _follow_arc(self, begin: np.ndarray, lit: np.ndarray, sign: float) -> np.ndarray:
-        """Return the end (3) of an arc of equal ratios that is followed from `begin` (3), by great circles from plane to plane.
+        """Return the end (3) of an arc of directions from `begin` (3) on, in which the readings of the inputs have the same ratios.
 
-        It ends where the inputs with light are no longer `lit`, or after half a revolution. `sign` (1 or -1) chooses the sense.
-        """
+        It is a great circle from plane to plane. It ends where other inputs than `lit` have light, or after half a revolution. The
+        `sign` (1 or -1) chooses the sense."""
         planes, sun = self._planes, begin
         along, remaining = sign * self._free_tangent(begin, lit), np.pi  # unit tangent, angle (rad)
         while True:
