@@ -23,8 +23,8 @@ FREEDOM = 4.0
 """Degrees of freedom of Student's law, whose tails allow for large changes: a thruster may have been fired."""
 
 BREAK = 0.01
-"""Probability that the rate after a gap says nothing of that before: a manoeuvre, or a pass whose solutions lack the true one. Without
-it one such pass decided for all: of a spinner at 0.38 deg/s, whose other passes favoured the truth, all were 36 deg/s off."""
+"""Probability that the rate after a gap says nothing of that before: after a manoeuvre, or if a pass lacks the true solution. One
+such pass decided for all: of a spinner at 0.38 deg/s, whose other passes favoured the truth, all were 36 deg/s off."""
 
 
 def link_passes(
@@ -71,7 +71,7 @@ def _log_transition(
     """Return the log density (K, L) of the L solutions of a pass given each of the K of the pass before, less that of the prior.
 
     The density is Student's law of the three components of the mean rate, mixed with the prior by :data:`BREAK`. `walk`: variance
-    (rad2/s2) that the walk between the passes adds. The prior of a rate is in `Solutions.probability` already, so it is divided out.
+    (rad2/s2) that the walk between the passes adds. The prior of a rate is in `Solutions.probability`, so it is divided out.
     """
     variance = before.mean_sigma[:, None] ** 2 + after.mean_sigma[None] ** 2 + walk
     square = ((after.mean[None] - before.mean[:, None]) ** 2 / variance).sum(axis=-1)

@@ -189,16 +189,16 @@ def _transposed(matrices: np.ndarray) -> np.ndarray:
 
 
 def equations(model: Model, motions: Track) -> BorderedSystem:
-    """Return cost and normal equations of motions under a model: of the readings, the equations of motion, and the priors."""
-    system = NormalEquations(motions)
+    """Return the cost of motions under a model, and its normal equations. Readings, equations of motion and priors contribute."""
+    system = NormalEquations(motions)  # with the prior of the unknowns
     for residual, unknowns in readings(model, motions):
         system.add_readings(residual, unknowns)
-    # The damping is scaled by the readings alone, before defects are added. These are stiff if samples are close together: scaled
-    # by them, the damping would hold a whole motion in its place.
+    # The damping is scaled by the readings alone, before defects are added. Defects between close samples add huge numbers to the
+    # matrix. A damping of their size would hold a whole motion in its place.
     damping = _damping_scale(system.diagonal, model.obs.t_s)
     system.add_defects(defects(model, motions))
 
-    # added to the matrix and not to the gradient: it damps the turn about the Sun, and prefers no value
+    # The prior of the turn about the Sun goes into the matrix alone, which it makes invertible. It prefers no turn: no gradient.
     system.diagonal[:, 0, TURN, TURN] += _sun_turn_prior(model.obs, motions.sun_B[:, 0])
     # the prior of the rate at the first sample
     system.diagonal[:, 0, RATE, RATE] += np.eye(3) / model.rate_sigma**2

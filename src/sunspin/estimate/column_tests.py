@@ -438,9 +438,9 @@ def gain_in_evidence(result: xr.Dataset, as_written: xr.Dataset) -> float:
 def _changes_to_compare(
     observed: Observed, telemetry: xr.Dataset, costs: SampleCosts, noise: np.ndarray | float
 ) -> tuple[list[ColumnChange], list[ColumnChange]]:
-    """Return the changes that the samples of a pass allow and its motion may exclude: exchanges of two dark columns, and others.
+    """Return two lists of changes that the samples of a pass allow, but its motion may not: exchanges of two dark columns; others.
 
-    Arguments are those of :func:`rival_exchanges`. Changes that the estimated motion cannot distinguish from the file are left out.
+    Arguments: see :func:`rival_exchanges`. Changes that give the readings of the file, or of reversed wheels, are left out.
     """
     vehicle = observed.vehicle
     # a change that looks the same as reversed wheels was tested with the signs of the wheels
@@ -456,8 +456,8 @@ def _changes_to_compare(
         # inputs that read another column: none if a panel is reversed
         moved = np.flatnonzero(np.asarray(change.columns) != np.arange(len(change.columns)))
         if len(moved) == 2 and not observed.lit[moved].any():
-            # An exchange of two dark columns counts if the estimated motion would light them differently, or if their readings
-            # differ: a glint of 6 % of full Sun in the wrong column moved a rate by 5.6 sigma. Any other changes nothing.
+            # An exchange of two dark columns is compared if the motion lights them differently, or if their readings differ:
+            # by more than CLEARLY in log likelihood. Others change nothing. A glint of 6 % of full Sun moved a rate by 5.6 sigma.
             differ = max(
                 (np.diff(of_samples[:, moved], axis=1) ** 2).sum() / 2
                 for of_samples in (light, read)
@@ -468,7 +468,7 @@ def _changes_to_compare(
             lit.append(change)
     if not (dark or lit):
         return dark, lit
-    # evidences are compared only if as many panels, of the same gains, are left out for want of a signal
+    # Evidence can be compared only if the change leaves out panels without a signal as the file does: as many, of the same gains.
     silent = gains_of_silent_inputs(vehicle, telemetry, AS_WRITTEN)
     dark, lit = (
         [c for c in group if gains_of_silent_inputs(vehicle, telemetry, c) == silent]

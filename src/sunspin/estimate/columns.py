@@ -160,8 +160,8 @@ def _with_unseen_changes(
     """Return the result with the changes of columns that no data of the file distinguish from the columns as they are written.
 
     attrs["columns_unseen"] is JSON, a row for each such change: `what` it is, and the `matrix` (3, 3) that maps body directions
-    under the file to those under the change. Without any, the data confirm the columns. attrs["alike"] says which motions panels on
-    shared inputs cannot distinguish.
+    under the file to those under the change. If there is no such change, unchecked columns count as stated. Without readings of
+    panels nothing is changed. attrs["alike"] says which motions panels on shared inputs cannot distinguish.
     """
     if not observed.panels:
         return result

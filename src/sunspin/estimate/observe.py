@@ -292,7 +292,7 @@ def select_passes(passes: Sequence[Pass], pass_id: int | None) -> list[Pass]:
 def with_unused_samples(
     readings: FileReadings, passes: Sequence[Pass], estimated: Sequence[Pass]
 ) -> FileReadings:
-    """Return the readings with the status of samples that show the Sun but are in no pass, or in one that is not `estimated`."""
+    """Return the readings with the reason why usable samples are not used: they are in no pass, or in one not `estimated`."""
     why = readings.why.copy()
     in_a_pass = np.concatenate([a_pass.samples for a_pass in passes])
     why[np.setdiff1d(readings.usable, in_a_pass)] = ALONE

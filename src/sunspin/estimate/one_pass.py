@@ -317,7 +317,10 @@ def is_fast(fits: Sequence[Fit]) -> bool:
 def fit_tracks(
     nominal: Model, tracks: Sequence[Track], noise: float, s: RatesSettings
 ) -> list[Fit]:
-    """Return fits of motions of a search and their images under every strength of torques, first that of the search, `noise`."""
+    """Return fits of motions of a search and their images under every strength of torques, first that of the search, `noise`.
+
+    The most probable one is fitted once more from new first guesses (:func:`begin_again`).
+    """
     fits = []
     for motions in tracks:
         under = nominal.under(noise)

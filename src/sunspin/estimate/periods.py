@@ -267,14 +267,14 @@ def periods_of(solved: Solutions, body: Body, seen: PeriodSeen) -> np.ndarray:
 def _mean_euler_rates(
     inertia: np.ndarray, omega: np.ndarray, after_s: np.ndarray, momentum: np.ndarray, body: Body
 ) -> np.ndarray:
-    """Return Euler's rates (n, 3) in rad/s, averaged over times (m) in s, of motions with rates omega (n, 3) at time zero.
+    """Return the mean rates (n, 3) of n motions over the times `after_s` (m), in rad/s, for each of :data:`ROTATIONS`.
 
-    `inertia` (3, 3) in mean moments: the drawn one; `momentum` (m, 3): of the wheels at those times; `body`: the nominal one, which
-    defines the axis. The columns are :data:`ROTATIONS`; for a sphere only the sum is known, which is the angular speed.
+    `inertia` (3, 3): the drawn one, in mean moments; `omega` (n, 3): rates of the motions at time zero; `momentum` (m, 3): of the
+    wheels at the m times; `body`: the nominal one, which defines the axis. For a sphere only the sum is known: the angular speed.
     """
     axis, rates = spin_axis(body.inertia), []
     last_s, last_momentum = 0.0, momentum[0]
-    # the motions are propagated from each time to the next
+    # From zero to the first time, mostly backward and with the momentum of then; after that from each time to the next.
     for t, wheels in zip(after_s, momentum, strict=True):
         if t != last_s:
             momenta = last_momentum[None], wheels[None]

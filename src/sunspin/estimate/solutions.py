@@ -39,9 +39,9 @@ class Solutions:
 
     `probability` (K); `mean` and `mean_sigma` (K, 3) in rad/s: of the rate averaged over the pass. `residual`: by sensor (K, n), in
     sigmas. `model`: name and probability of the nominal model, or of the most probable one if that is improbable. `noise` (K):
-    strength of unknown torques, rad/s^1.5. `estimates`: for each solution name -> unit, value, sigma. `denied`: for each solution the
-    sensors whose axes it denies. `cost_limit`: beyond it no motion fits. `without_periods` (K): the probability without observed
-    periods of the rotation.
+    strength of unknown torques, rad/s^1.5. For each solution, `estimates`: name -> unit, value, sigma; and `denied`: the sensors
+    whose axes it denies. `cost_limit`: beyond it no motion fits. `without_periods` (K): the probability without observed periods of
+    the rotation.
     """
 
     obs: Observations

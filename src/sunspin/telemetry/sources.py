@@ -9,7 +9,7 @@ import numpy as np
 from sunspin.base.tables import TextTable
 
 MANY_ROWS = 0.1
-"""Rows with the time of another one are said to be of another source, or cut times, above this share of a file."""
+"""If more than this share of the rows have the time of the row before, the file has several sources, or its times are cut."""
 
 SATELLITE_NAME = re.compile(
     r"(sat|satellite|spacecraft|norad|cospar|scid)[ _.-]?(cat[ _.-]?id|id|name|number|no)?"
@@ -30,12 +30,12 @@ def describe_sources(
     unused : list of str
         Columns that the vehicle file does not read.
     time : (n), s
-        Sorted times of the rows of the table.
+        Times of the rows of the table, sorted. Rows with the same time contradict each other: others were merged before.
     values : (n, n_panel)
         Readings of the panels.
     """
     notes = []
-    same = np.flatnonzero(np.diff(time) == 0)
+    same = np.flatnonzero(np.diff(time) == 0)  # rows whose next row has the same time
     if len(same) > MANY_ROWS * len(time):
         cells = {name: table.cells[name].to_numpy() for name in unused}
         sources = [

@@ -116,13 +116,13 @@ OF_SOLUTIONS = {
 def _solutions(
     mix: Mixture, picked: np.ndarray, log_likelihood: np.ndarray, prior_sigma: float
 ) -> xr.Dataset:
-    """Return the solutions by falling probability: the variables `OF_SOLUTIONS`, from the draws of each.
+    """Return the variables `OF_SOLUTIONS` of each listed solution, from its draws; the most probable solution comes first.
 
     `picked` (n): indices of the draws of the result; `log_likelihood` (n) of them; `prior_sigma` (rad/s) as in :func:`tree_of`.
     """
     rng = np.random.default_rng(0)
     count = _listed(mix)
-    rows = []
+    rows = []  # of each solution, the values of `OF_SOLUTIONS` in their order
     for solution in range(count):
         indices = mix.inside(solution)
         # draws of equal weight; one that was chosen several times is propagated once
@@ -136,7 +136,7 @@ def _solutions(
         if effective < TOO_FEW:
             covariance = _proposed_covariance(mix, indices, mean, prior_sigma)
 
-        # the draw of the largest likelihood, among those of the result and some more, as the result may have none
+        # The draw of the largest likelihood: of those in the result, and of some more, as the result may have none of a solution.
         in_result = mix.draws.solution[picked] == solution
         tried = np.concatenate([picked[in_result], even[:BEST_OF]])
         likelihoods = [log_likelihood[in_result], mix.log_likelihood(even[:BEST_OF])]

@@ -68,8 +68,8 @@ def observe_window(
 ) -> Window:
     """Return all usable readings of a stretch of telemetry, and other observations, each at a sample of its own time.
 
-    `begin_s`, `end_s` (s from the epoch) or `phase` bound the stretch; `observations` as in :func:`sunspin.posterior`. Raises
-    `InputError` for fewer than three samples with a lit panel, and for an unknown phase or observation.
+    `begin_s`, `end_s` (s from the epoch) or `phase` bound the stretch; `observations` as in :func:`sunspin.posterior`. The wheels'
+    momentum is zero here: `LanderModel` has the wheels. Raises `InputError` for fewer than three lit samples or an unknown name.
     """
     vehicle, telemetry, quality = assessment.vehicle, assessment.telemetry, assessment.quality
     vehicle.require_panels()
@@ -88,7 +88,7 @@ def observe_window(
         index = index[np.unique(even)]
     used = measured[index]
     power = np.where(used, power[index], 0.0)
-    # (n_panel), as for directions to the Sun: of the file, else above the light on unlit panels, else above the noise
+    # (n_panel) the threshold of the directions to the Sun: that of the file; else one above the light on unlit panels, or the noise
     threshold = assessment.sun["lit_threshold"].values
     lit = (used & (power > threshold)).any(axis=1)
     if np.count_nonzero(lit) < 3:
@@ -101,8 +101,8 @@ def observe_window(
     brightness = _brightness(vehicle, power, used, sigma, threshold)
     require_usable(observations, float(times[index[0]]), float(times[index[-1]]))
 
-    # Another observation becomes a sample without panels, unless there is a sample at exactly its time. `place`: numbers of the
-    # samples, first of the readings, then of the other observations.
+    # The samples are at all distinct times of readings and other observations. `place`: number of the sample of each reading, then
+    # of each other observation. A sample that only another observation has is one without readings of panels.
     given_s = np.array([float(observation["t_s"]) for observation in observations])
     t_s, place = np.unique(np.concatenate([times[index], given_s]), return_inverse=True)
     place_read, place_given = np.split(place.ravel(), [len(index)])

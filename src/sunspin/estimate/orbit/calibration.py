@@ -323,9 +323,9 @@ def calibrate_magnetometer(
 def calibrate_with_sun_sensors(
     orbit: Orbit, vehicle: Vehicle, readings: Readings, start: CalibrationStart
 ) -> Calibration | None:
-    """Return magnetometer and Sun sensors calibrated together from a start.
+    """Return magnetometer and Sun sensors calibrated together, by a fit that begins at `start`.
 
-    None without Sun sensors, with too few samples that show field and Sun, or if the fit is clearly worse than its start.
+    None without Sun sensors, with too few conditions on the unknowns, or if the fit leaves the field's strength clearly worse.
     """
     # Each sample with a field puts a condition on the strength of the field, and one with a direction to the Sun too puts another
     # on the angle between both.

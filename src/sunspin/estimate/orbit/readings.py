@@ -76,9 +76,9 @@ class Readings(NamedTuple):
         return self._replace(field=self.field @ matrix.T)
 
     def with_stated_sun(self) -> Readings:
-        """Return the readings with Sun sensors as the vehicle file states: directions by them replace panels', angles are NaN."""
+        """Return the readings for a fit that keeps Sun sensors as stated: their directions replace panels', angles are NaN."""
         by_sensors = np.isfinite(self.angle[..., 0]).any(axis=1) & _whole(self.sun)
-        sigma = np.sqrt(np.trace(self.covariance, axis1=1, axis2=2) / 2)
+        sigma = np.sqrt(np.trace(self.covariance, axis1=1, axis2=2) / 2)  # about each of two axes
         return self._replace(
             angle=np.full_like(self.angle, np.nan),
             panel_sun=np.where(by_sensors[:, None], self.sun, self.panel_sun),

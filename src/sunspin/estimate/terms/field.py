@@ -195,10 +195,10 @@ class FieldChange(Term):
 
     def unknowns(self) -> tuple[Unknown, ...]:
         """Return the unknowns in their order: rate of change of the field, zero offset, elements of the error matrix by rows."""
-        if not (self.present().any() and self.drift_N.shape[1]):
+        if not (self.present().any() and self.drift_N.shape[1]):  # in a search: no drift
             return ()
         drift, zero = np.linalg.norm(self.drift_N, axis=2), np.linalg.norm(self.zero_B, axis=1)
-        # kind, unit, sigmas of all unknowns of the kind, equally likely factors of these
+        # Kind, unit, sigmas of all unknowns of the kind, equally likely factors of these. That of a drift is its largest in time.
         kinds = (
             ("field_drift", "field s-1", drift.max(axis=0), (1.0,)),
             ("field_zero", "field", zero, self.zero_shares),
@@ -408,8 +408,8 @@ class KnownField(Term):
         unit = self.field_N / np.linalg.norm(self.field_N, axis=1, keepdims=True)
         axes_from_N = [facing(unit[0]).T]  # takes the field at the first sample to z
         for before, after in zip(unit, unit[1:], strict=False):
-            # Back to the sample before, whose matrix takes `before` to z: R takes `after` to `before`. The rows are unit vectors
-            # after R, which are the columns of R.
+            # The smallest rotation R takes `after` to `before`. The matrix of the sample before takes that to z, so their product
+            # takes `after` to z. Each row is a unit vector along an axis of N after R, so the transposed rows are R.
             rows = rotate_by_smallest(np.tile(after, (3, 1)), np.tile(before, (3, 1)), np.eye(3))
             axes_from_N.append(axes_from_N[-1] @ rows.T)
         return np.array(axes_from_N)

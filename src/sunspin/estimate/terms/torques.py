@@ -196,13 +196,13 @@ class WheelChange(Term):
 
     @cached_property
     def _by_errors(self) -> tuple[np.ndarray, np.ndarray]:
-        """The momentum (n, m) at the samples by one sigma of each error, and its integral (n - 1, m) beyond the trapezoids."""
+        """Derivatives, by one sigma of each of m errors, of the momentum (n, m) and of :meth:`_beyond_trapezoid` (n - 1, m)."""
         momentum_0, beyond_0 = self.ramp.change(self.t_s), self._beyond_trapezoid(self.ramp)
         ramps = [self.with_errors(u) for u in RAMP_DIFFERENCE * np.eye(3)]
         momentum = np.stack([ramp.change(self.t_s) - momentum_0 for ramp in ramps], axis=1)
         beyond = np.stack([self._beyond_trapezoid(ramp) - beyond_0 for ramp in ramps], axis=1)
         momentum, beyond = momentum / RAMP_DIFFERENCE, beyond / RAMP_DIFFERENCE
-        # the momentum at knots is linear between samples
+        # between samples the errors at the knots are taken as linear, so they add nothing to the second derivative
         at_knots = self._at_knots()
         momentum = np.concatenate([momentum, at_knots], axis=1)
         return momentum, np.concatenate([beyond, np.zeros_like(at_knots[1:])], axis=1)
@@ -306,13 +306,13 @@ def added_by_torques(
 ) -> np.ndarray:
     """Return turn and rate (K, n - 1, 6, 3) that a unit torque along each body axis adds in the intervals dt (n - 1), s.
 
-    The torque is constant in the axes `frame`; the body axes are those at the start of the interval. Small deviations of turn t and
-    rate r from a motion, in body axes, under a torque T, follow linear equations in the time s:
+    At the start of the interval the torque is along a body axis. From then on it is constant in the axes `frame`. Under a torque T
+    small deviations from a motion, t of the turn and r of the rate, in body axes, follow linear equations in the time s:
 
         dt/ds = -w x t + r;  I dr/ds = (I w + h) x r - w x (I r) + T;  dT/ds = 0, or -w x T for one constant in space.
 
-    Here w is the mean rate of the interval, I the inertia (3, 3), h the `momentum` (n, 3) of the wheels. The matrix of this system
-    is constant. Its exponential gives t and r at the end of the interval for each T at its start.
+    Here I is the inertia (3, 3); w and h are means over both ends of the interval, of the rate and of the `momentum` (n, 3) of the
+    wheels. So the matrix of this system is constant. Its exponential gives t and r at the end of the interval for a T at its start.
     """
     # places of t, r and T in the vector of the system
     turn, rate, torque = slice(0, 3), slice(3, 6), slice(6, 9)

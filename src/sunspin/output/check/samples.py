@@ -26,7 +26,7 @@ SHOWN = 30
 """Unused columns that are listed by name."""
 
 MOST_PANELS = 2 / 3
-"""Least fraction of the panels that a row must have read to count as a sample of the motion. Five of six panels bound the Sun
+"""A row counts as a sample of the motion if at least this fraction of the panels was read in it. Five of six panels bound the Sun
 direction, two leave it open. If a file has a row for each packet, a row has a half or a third of the panels."""
 
 APART_ROWS, APART_SHARE = 0.2, 0.2
@@ -345,7 +345,7 @@ def _apart_rows_lines(assessment: Assessment) -> list[str]:
 
 
 def _partial_rows_advice(samples: xr.Dataset) -> str:
-    """Return advice for a file in which each row has only some of the panels, as with a row for each packet; else nothing."""
+    """Return advice, to be appended to a sentence, if each row has only some of the panels, as a row for each packet; else ""."""
     if "panel" not in samples.coords:
         return ""
     has_reading = np.isfinite(signals(samples))  # (sample, panel)

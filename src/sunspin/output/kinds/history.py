@@ -109,25 +109,25 @@ def history_figure(data: Any) -> Any:
     turn = data["spin_axis_sigma_rad"].values
     for k, name in enumerate("xyz"):
         values = data["spin_axis_B"].values[:, k]
-        error = turn * np.sqrt(np.maximum(1 - values**2, 0.0))
+        error = turn * np.sqrt(np.maximum(1 - values**2, 0.0))  # largest change by such a turn
         _draw_points(axes, days, values, error, decided, COLOURS[k], name)
     axes.set(ylabel="spin axis in the\nbody (unit vector)", ylim=(-1.1, 1.1))
     axes.legend(ncols=3, loc="upper right", bbox_to_anchor=(1.0, 1.2))
-    none = np.zeros(len(days))
+    no_error = np.zeros(len(days))
     if has_momentum:
         axes = next(panels)
-        _draw_points(axes, days, data["momentum"].values, none, decided, BLACK, "momentum")
+        _draw_points(axes, days, data["momentum"].values, no_error, decided, BLACK, "momentum")
         axes.set_ylabel("angular momentum\n(N m s)")
     if has_sun:
         axes = next(panels)
         angle = np.degrees(data["momentum_sun_rad"].values)
-        _draw_points(axes, days, angle, none, decided, BLACK, "angle")
+        _draw_points(axes, days, angle, no_error, decided, BLACK, "angle")
         axes.set(ylabel="momentum to the\nSun (deg)", ylim=(0, 180))
     if in_space:
         axes = next(panels)
         for k, name in enumerate("xyz"):
             values = data["momentum_J2000"].values[:, k]
-            _draw_points(axes, days, values, none, decided, COLOURS[k], name)
+            _draw_points(axes, days, values, no_error, decided, COLOURS[k], name)
         axes.set(ylabel="momentum in J2000\n(unit vector)", ylim=(-1.1, 1.1))
     axes.set_xlabel(f"time (days) since {data.attrs['epoch_utc'][:16]} UTC")
     return figure
