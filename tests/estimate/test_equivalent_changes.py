@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from sunspin.estimate.columns import has_unlisted_motion
+from sunspin.estimate.columns import has_unlisted_motion, unseen_axes
 from sunspin.estimate.equivalence import (
     AS_WRITTEN,
     ColumnChange,
@@ -195,6 +195,26 @@ def test_a_used_sensor_excludes_a_mirror_unless_its_axes_are_mirrored_too(sensor
     np.testing.assert_allclose(found, X, atol=1e-12)
     both = replace(observed, sensors=frozenset({sensor, "attitude_B_from_N"}))
     assert not len(equivalence(both, axes, columns))
+
+
+@pytest.mark.parametrize(
+    ("faces", "in_orbit", "expected"),
+    [
+        (["+y"], False, {"-x, +y, +z", "+x, -y, +z", "+x, +y, -z"}),
+        (["+y"], True, {"-x, +y, -z", "+z, +y, -x", "-z, +y, +x"}),
+        (["+y", "-z"], False, {"-x, +y, +z"}),
+        (["+y", "-z"], True, set()),
+        (["+x", "+y", "-z"], False, set()),
+    ],
+)
+def test_axes_that_one_sensor_alone_shows_are_named(faces, in_orbit, expected):
+    """The field in space has either sign without an orbit, so that a reversed column and the two others look alike."""
+    normals = [CUBE_NORMALS[NAMES.index(face)] for face in faces]
+    sensors = Sensors(magnetometer=MAGNETOMETER)
+    craft = body(normals, faces, inertia_kg_m2=None, sensors=sensors)
+    seen = lit(craft, sensors=frozenset({"field_B"}), in_orbit=in_orbit)
+    ways = {f"the magnetometer read as ({axes}) of its columns" for axes in expected}
+    assert names(unseen_axes(seen)) == ways
 
 
 def test_elements_exclude_mirrors_once_sun_and_field_are_known_in_space():

@@ -183,19 +183,10 @@ def test_the_true_motion_is_not_lost_between_the_search_and_the_fit(tmp_path):
 def test_a_magnetometer_that_needs_other_axes_does_not_fit(tmp_path):
     """A wrong motion fitted by a matrix of errors six sigmas off, and was decided 38 sigmas from the truth."""
     spinners.make(spinners.cases(61, 15)[14], tmp_path)
-    text = (tmp_path / "vehicle.toml").read_text()
-    columns = 'columns = ["mx", "my", "mz"]'
-    zero = "zero = { value = [21149, -15065, 41358]"
-    assert columns in text and zero in text
-    right = text.replace(columns, 'columns = ["-mz", "mx", "-my"]')
-    right = right.replace(zero, "zero = { value = [-41358, 21149, 15065]")
-    for content, expected in ((text, False), (right, True)):
-        (tmp_path / "vehicle.toml").write_text(content)
-        craft = ss.load_vehicle(tmp_path / "vehicle.toml")
-        telemetry = ss.read_telemetry(tmp_path / "telemetry.csv", craft)
-        result = rates(craft, telemetry, pass_id=2, column_tests=False)
-        assert bool(result["fits"][0]) is expected
-        assert expected or "magnetometer" in str(result["why_not_decided"].values[0])
+    craft = ss.load_vehicle(tmp_path / "vehicle.toml")
+    telemetry = ss.read_telemetry(tmp_path / "telemetry.csv", craft)
+    result = rates(craft, telemetry, pass_id=2, column_tests=False)
+    assert result["why_not_decided"].values[0] == "POOR FIT (magnetometer)"
 
 
 MAGNETOMETER = Magnetometer(("x", "y", "z"), np.zeros(3), 400.0, zero_sigma=np.full(3, 300.0))

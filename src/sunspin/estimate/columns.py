@@ -31,6 +31,7 @@ from sunspin.estimate.column_tests import (
     ContradictingSensor,
     Estimators,
     SampleCosts,
+    changes_of_sensor,
     denied_by_the_sun,
     rival_exchanges,
     rival_words,
@@ -39,7 +40,9 @@ from sunspin.estimate.column_tests import (
 )
 from sunspin.estimate.equivalence import (
     AS_WRITTEN,
+    AXES_ALIKE,
     CLEARLY,
+    ColumnChange,
     Observed,
     column_changes,
     equivalence,
@@ -167,15 +170,43 @@ def _with_unseen_changes(
         return result
     if words := alike_motions(observed.vehicle):
         result = result.assign_attrs(alike=words)
-    unseen = unseen_changes(replace(observed, sun_B=result["sun_B"].values), telemetry)
+    along_motion = replace(observed, sun_B=result["sun_B"].values)
+    unseen, checked = unseen_changes(along_motion, telemetry), result["columns_checked"].values
+    if not unseen and (unseen := unseen_axes(along_motion)):
+        unchecked = np.where(checked == COLUMNS_STATED, COLUMNS_UNCHECKED, checked)
+        result = result.assign(columns_checked=("pass_id", unchecked))
     if not unseen:
-        checked = result["columns_checked"].values
         confirmed = np.where(checked == COLUMNS_UNCHECKED, COLUMNS_STATED, checked)
         return result.assign(columns_checked=("pass_id", confirmed))
     rows = [
         {"what": change.what, "matrix": np.round(matrix, 6).tolist()} for change, matrix in unseen
     ]
     return result.assign_attrs(columns_unseen=json.dumps(rows))
+
+
+def unseen_axes(observed: Observed) -> list[tuple[ColumnChange, np.ndarray]]:
+    """Return other axes of a gyro or magnetometer that are equivalent to the file, but with another motion, each with its M (3, 3).
+
+    If the normals of the lit panels lie in a plane or on a line, such a sensor alone may show the other axes of the body. Of the
+    equivalent ways to read its columns those that change the fewest are returned.
+    """
+    unseen = [
+        (change, m, name)
+        for name in sorted(observed.sensors & {"gyro_B", "field_B"})
+        for change, m in equivalent_changes(
+            observed, AS_WRITTEN, changes_of_sensor(observed.vehicle, name)
+        )
+        if np.abs(rate_under(m, np.eye(3)) - np.eye(3)).max() > AXES_ALIKE
+    ]
+    changed = [
+        int((change.axes[name] != np.eye(3)).any(axis=1).sum()) for change, _, name in unseen
+    ]
+    fewest = min(changed, default=0)
+    return [
+        (change, m)
+        for (change, m, _), count in zip(unseen, changed, strict=True)
+        if count == fewest
+    ]
 
 
 def _undecided_by_symmetry(
