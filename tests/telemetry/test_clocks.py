@@ -717,7 +717,44 @@ def test_a_counter_that_overflows_goes_on(bits, scale, tmp_path):
     assert "taken for rows out of order" in notes(gap)
 
 
+def test_a_short_counter_that_overflows_twice_goes_on_and_one_fall_is_a_reset(tmp_path):
+    """After 12 bits the clock was taken for one that was reset. A single fall may be a reset near 4096."""
+    true = np.arange(60) * 200
+    form = 'time_format = "elapsed"\nepoch_utc = "2026-01-01T00:00:00Z"'
+    data = read(tmp_path, true % 4096, form)
+    np.testing.assert_array_equal(data["time"], true)
+    assert "after 4096 counts at line 23, 2 times in all" in notes(data)
+    with pytest.raises(TelemetryError, match="a clock that was reset"):
+        read(tmp_path, true[:40] % 4096, form)
+
+
 def test_a_reset_after_a_minute_is_no_overflow_of_a_counter_of_milliseconds(tmp_path):
     counts = [0, 20_000, 40_000, 60_000, 5_000, 25_000, 45_000]
     form = 'time_format = "elapsed"\ntime_scale_s = 0.001\nepoch_utc = "2026-01-01T00:00:00Z"'
     assert "overflow" not in notes(read(tmp_path, counts, form))
+
+
+def test_dates_in_TT_and_Julian_Dates_are_read_as_UTC(tmp_path):
+    for form, cells in (
+        ("tt", ["2026-01-01T00:01:09.184", "2026-01-01 00:01:19.184 TDB"]),
+        ("jd", ["2461041.5", f"{2461041.5 + 10 / 86400:.10f}"]),
+    ):
+        data = read(tmp_path, cells, f'time_format = "{form}"')
+        assert data.attrs["epoch_utc"].startswith("2026-01-01T00:00:00")
+        np.testing.assert_allclose(data["time"], [0, 10], atol=1e-3)
+    with pytest.raises(TelemetryError, match='for seconds set time_format = "elapsed" and epoch'):
+        read(tmp_path, [820497669.184], 'time_format = "tt"')
+    with pytest.raises(TelemetryError, match="Julian Dates are expected, such as 2461072.5"):
+        read(tmp_path, ["2026-01-01"], 'time_format = "jd"')
+
+
+def test_parts_of_a_date_that_are_none_are_shown(tmp_path):
+    header = "year,month,day,hour,minute,second,pa,pb"
+    path = tmp_path / "t.csv"
+    path.write_text(f"{header}\n2026,2,28,23,59,60,1,1\n2026,3,1,0,0,10,1,2\n")
+    data = ss.read_telemetry(path, craft(""))
+    assert data.attrs["epoch_utc"] == "2026-03-01T00:00:00Z"
+    assert "times are made of columns year, month, day, hour, minute, second" in notes(data)
+    path.write_text(f"{header}\n2026,2,30,23,59,60,1,1\n2026,3,1,0,0,10,1,2\n")
+    with pytest.raises(TelemetryError, match="line 2, column 't': .*2026 2 30 23 59 60"):
+        ss.read_telemetry(path, craft(""))

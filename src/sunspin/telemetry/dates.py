@@ -10,7 +10,8 @@ import numpy as np
 from sunspin.base.errors import TelemetryError
 from sunspin.base.tables import TextTable
 from sunspin.base.untrusted import plain_number
-from sunspin.telemetry.times import parse_utc
+from sunspin.telemetry.date_parts import join_date_parts
+from sunspin.telemetry.times import parse_utc, strip_scale
 from sunspin.vehicle import TelemetryForm
 
 MONTHS = ("jan", "feb", "mar", "apr", "may", "jun", "jul", "aug", "sep", "oct", "nov", "dec")
@@ -128,11 +129,15 @@ def has_no_order(text: str) -> bool:
 def rewrite_dates(form: TelemetryForm, table: TextTable) -> TextTable:
     """Return a table whose columns of times have dates in ISO 8601 only, each date and time of day joined in the column of times.
 
+    If there is no column of times, but columns of year, month, day and so on, these are joined too.
+
     Raises
     ------
     TelemetryError
         The order of day and month is neither stated nor shown by a date of the file.
     """
+    if form.time_format in ("utc", "gps", "tai", "tt"):
+        table = join_date_parts(table, form.time_column)
     cells = table.cells.copy()
     if form.date_column in table.header and form.time_column in table.header:
         dates = cells.pop(form.date_column)
@@ -140,13 +145,13 @@ def rewrite_dates(form: TelemetryForm, table: TextTable) -> TextTable:
         if all(map(is_compact_date, dates)) and all(map(is_compact_time, times)):
             times = [pad_time(time) for time in times]
         cells[form.time_column] = dates.str.strip() + " " + times
-    columns = [form.time_column] if form.time_format in ("utc", "gps", "tai") else []
+    columns = [form.time_column] if form.time_format in ("utc", "gps", "tai", "tt") else []
     if form.receive_time_column is not None and form.receive_time_format == "utc":
         columns.append(form.receive_time_column)
     for name in columns:
         texts = cells[name].tolist() if name in cells else []
-        if name == form.time_column and form.time_format != "utc":  # GPS or TAI after the date
-            texts = [text.strip().removesuffix(form.time_format.upper()).rstrip() for text in texts]
+        if name == form.time_column and form.time_format != "utc":  # GPS, TAI or TT after the date
+            texts = [strip_scale(text, form.time_format) for text in texts]
         if form.time_format != "utc" and np.isfinite([plain_number(text) for text in texts]).any():
             continue
         day_first = find_day_first(texts) if form.day_first is None else form.day_first

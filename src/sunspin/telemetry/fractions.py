@@ -42,7 +42,7 @@ CLOCK_WORDS = (
     "epoch",
     "met",
 )
-CLOCK_WORDS += ("obc", "obt", "clock", "of", "part", "s", "sec", "second", "seconds", "t")
+CLOCK_WORDS += ("obc", "obt", "clock", "of", "part", "s", "sec", "second", "seconds", "t", "tv")
 """Other words in the name of such a column; with any further word it may be a duration."""
 
 FULL_SCALES = (100, 256, 1000, 65_536, 1_000_000, 2**24, 10**9, 2**32)
