@@ -122,6 +122,48 @@ def test_the_section_for_a_row_for_each_value_reads_the_file(folder):
     assert found["current_A"].shape == (40, 5)
 
 
+@pytest.mark.parametrize(
+    ("header", "row"),
+    [
+        ("Time,panel,current_mA", "{t},{face},{x}"),
+        ("Parameter Name,Generation Time,Raw Value,Eng Value", "/SAT/I_{face}_mA,{t},7,{x}"),
+    ],
+)
+def test_rows_of_one_value_are_known_by_other_names_of_columns_too(header, row, folder):
+    lines = [
+        row.format(t=f"2026-01-01T00:00:{k:02d}Z", face=face, x=400 + k + 100 * (face == "xm"))
+        for k in range(9)
+        for face in ("xp", "xm")
+    ]
+    (folder / "export.csv").write_text("\n".join([header, *lines]), "utf-8")
+    done = CliRunner().invoke(cli, ["init", "mine", "--from", "export.csv"])
+    assert done.exit_code == 0, done.exception
+    vehicle = ss.load_vehicle(folder / "mine" / "vehicle.toml")
+    data = ss.read_telemetry(folder / "export.csv", vehicle)
+    np.testing.assert_allclose(data["current_A"].sel(panel="-X"), 0.5 + 0.001 * np.arange(9))
+
+
+@pytest.mark.parametrize(
+    ("names", "quantity"),
+    [
+        ("Spannung {},Temperatur {},Strom {}", "current_A"),
+        ("Tensión {},Temperatura {},Corriente {}", "current_A"),
+        ("Tension {},Courant {}", "current_A"),
+        ("Spannung {},Leistung {}", "power_W"),
+    ],
+)
+def test_voltages_in_other_languages_are_no_currents(names, quantity, folder):
+    """Voltages were taken for powers, as they come first."""
+    columns = [name.format(face) for name in names.split(",") for face in ("X+", "X-")]
+    cells = ["4,71"] * (len(columns) - 2) + ["412", "100"]
+    text = "\n".join([";".join(["Zeit", *columns]), ";".join(["31.01.2026 11:58:00", *cells])])
+    (folder / "export.csv").write_text(text, "utf-8")
+    assert CliRunner().invoke(cli, ["init", "mine", "--from", "export.csv"]).exit_code == 0
+    craft = ss.load_vehicle(folder / "mine" / "vehicle.toml")
+    assert craft.telemetry.quantity == quantity
+    assert craft.telemetry.columns["+X"] == columns[-2]
+
+
 def test_init_from_a_file_knows_its_panels_and_makes_no_inertia_and_no_wheel_up(folder):
     (folder / "export.csv").write_text(export("i{AXIS}{sign:pm}", 0.001), "utf-8")
     assert CliRunner().invoke(cli, ["init", "mine", "--from", "export.csv"]).exit_code == 0
@@ -293,6 +335,7 @@ def test_columns_of_panels_without_numbers_are_named_with_a_cell(cell, folder):
     done = CliRunner().invoke(cli, ["init", "mine", "--from", "export.csv"])
     assert "column 'iXp' may be of a panel, but its cells are not numbers" in str(done.exception)
     assert cell in str(done.exception)
+    assert ("without `Formatted data`" in str(done.exception)) == (cell == "412 mA")
 
 
 @pytest.mark.parametrize("cell", ["58:00.3", "2026-01-31 12:00:00 CET"])
@@ -302,6 +345,8 @@ def test_times_that_cannot_be_read_are_named_with_a_cell(cell, folder):
     done = CliRunner().invoke(cli, ["init", "mine", "--from", "export.csv"])
     words = f"column 'Time' may hold times, but they cannot be read, such as {cell!r}"
     assert words in str(done.exception)
+    is_cut = "a spreadsheet left minutes and seconds of it" in str(done.exception)
+    assert is_cut == cell.startswith("58")
 
 
 @pytest.mark.parametrize("date", ["2026-01-31", "31.01.2026", "31/01/2026", "01/31/26"])
@@ -337,6 +382,8 @@ def test_a_date_and_a_time_of_day_in_two_columns_and_a_row_of_units_are_read(dat
         ("year,doy", "2026,{doy:.9f}"),
         ("seconds,subseconds", "{unix},{sub}"),
         ("tv_sec,tv_usec", "{unix},{ms}000"),
+        ("TIMESEC,TIMEUS", "{unix},{ms}000"),
+        ("RECEIVED_TIMESECONDS,PACKET_TIMESECONDS", "1769859999.5,{unix}.{ms:03d}"),
         ("WN,SOW,ms", "2403,{tow},{ms}"),
         ("time_jd", "{jd:.10f}"),
         ("time", "{jd:.10f}"),

@@ -36,7 +36,7 @@ from sunspin.telemetry.fractions import (
 from sunspin.telemetry.layout import pivot_series
 from sunspin.telemetry.noise import find_wrapped_counts
 from sunspin.telemetry.sensors import read_numbers
-from sunspin.telemetry.times import parse_utc, strip_scale, zone_of_name
+from sunspin.telemetry.times import advise_on_time, parse_utc, strip_scale, zone_of_name
 from sunspin.telemetry.timescales import J2000_UTC, WEEK_S, WEEKS_TO_ROLLOVER
 
 PLUS = ("+", "p", "pos", "plus", "positive")
@@ -72,15 +72,24 @@ UNIT_WORD = re.compile(r"(?P<prefix>milli|micro|)(?:(?P<A>amp(?:[eè]re)?s?)|(?P
 """A unit of currents or powers as a word, in small letters."""
 
 WORDS = {
-    "current_A": ("i", "cur", "curr", "current", "currents", "amp", "amps", "isol"),
-    "power_W": ("p", "pwr", "power", "watt", "watts"),
+    "current_A": (
+        *("i", "cur", "curr", "current", "currents", "amp", "amps", "isol"),
+        *("strom", "solarstrom", "panelstrom", "courant", "corriente", "corrente"),
+    ),
+    "power_W": (
+        *("p", "pwr", "power", "watt", "watts"),
+        *("leistung", "solarleistung", "puissance", "potencia", "potenza"),
+    ),
     "": (
+        *("spannung", "tension", "tensi", "tensione", "voltaje", "temperatur", "temperatura"),
         *("v", "u", "volt", "volts", "voltage", "voltages", "vsol", "mv"),
         *("t", "tmp", "temp", "temps", "temperature", "degc", "c", "k"),
         *("b", "mag", "magnetometer", "field", "gyro", "w", "omega", "rate", "wheel", "rpm", "q"),
     ),
 }
-"""Words in the name of a column -> its quantity; empty for readings that are not of panels' currents or powers."""
+"""Words in the name of a column -> its quantity; empty for readings that are not of panels' currents or powers.
+
+German, French, Spanish and Italian ones too: "tensi" begins the word with an accent."""
 
 ANGLE_WORDS = {
     "elevation_deg": ("el", "elev", "elevation", "elevations", "altitude"),
@@ -295,7 +304,7 @@ def suggest_section(table: TextTable, panels: dict[str, str] | None = None) -> S
     """
     if (time := _find_times(table)) is None:
         return None
-    table = pivot_series(table, time.column, set()).table
+    table = _name_units(table, pivot_series(table, time.column, set()).table)
     if (group := _best_group(table)) is None:
         return None
     wraps_at = find_wrapped_counts(read_numbers(table, list(group.columns.values())))
@@ -347,6 +356,15 @@ def suggest_section(table: TextTable, panels: dict[str, str] | None = None) -> S
     return Suggestion(section, group.columns, largest, sensors, notes)
 
 
+def _name_units(table: TextTable, pivoted: TextTable) -> TextTable:
+    """Return a pivoted table with the unit of the column that had the values in `table`, if its name has one."""
+    dropped = [name for name in table.header if name not in pivoted.header]
+    units = {unit for name in dropped if (unit := _unit_of(table, name)[1]) in UNITS}
+    if len(units) != 1:
+        return pivoted
+    return pivoted._replace(units=dict.fromkeys(pivoted.header, units.pop()))
+
+
 def explain_missing(table: TextTable) -> tuple[str, str]:
     """Return in words why no section is suggested for a table (times, panels or numbers are missing), and what to do."""
     has_times = _find_times(table) is not None
@@ -355,7 +373,10 @@ def explain_missing(table: TextTable) -> tuple[str, str]:
             cell := _unreadable_cell(table, column)
         ):
             what = f"column {column!r} may be of a panel, but its cells are not numbers, such as {cell[:30]!r}"
-            return what, "write plain decimals, such as -1.5e-3"
+            do = "write plain decimals, such as -1.5e-3"
+            if re.match(r"\s*[-+]?[\d.,]+\s*(?!x)[^\W\d]", cell):
+                do = "export raw values without units (in Grafana without `Formatted data`), such as 0.412"
+            return what, do
     for column in table.header if has_times else []:
         name, unit = _unit_of(table, column)
         has_formula = re.search(r"\d|count|lsb", unit) is not None
@@ -374,7 +395,7 @@ def explain_missing(table: TextTable) -> tuple[str, str]:
             what = (
                 f"column {column!r} may hold times, but they cannot be read, such as {cell[:40]!r}"
             )
-            return what, "write them as 2026-01-31T23:59:59Z"
+            return what, advise_on_time(cell) or "write them as 2026-01-31T23:59:59Z"
     times = "" if has_times else "times"
     panels = "" if _best_group(table) else "currents or powers of panels on two faces"
     do = (
@@ -764,6 +785,7 @@ def _clock_column(table: TextTable, date_column: str) -> str | None:
 def _time_words(column: str) -> list[str]:
     """Return the words in the name of a column of times, in small letters; seconds from J2000 have the word "j2000" last."""
     name = _words(column).translate(PLAIN_SIGNS)
+    name = re.sub(r"(?<![a-z])time(sec|secs|seconds|ms|us|ns)(?![a-z])", r"time \1", name)  # COSMOS
     is_j2000 = re.search(r"(?<![a-z])(j ?2000|j2k|tdb|tt)(?![a-z0-9])", name) is not None
     # ephemeris time of SPICE; in other names "et" may be a French word
     is_j2000 |= re.fullmatch(r"(time )?et( time)?( [\[(]?s[\])]?)?", name) is not None

@@ -803,12 +803,17 @@ def _advise_on_cell(cell: str) -> str:
             'if it is in seconds, set time_format = "unix" (since 1970), "gps", "tai" or "elapsed" under [telemetry] in the '
             "vehicle file"
         )
+    return advise_on_time(cell) or (
+        "write it as 2026-01-31T23:59:59Z, or set time_format under [telemetry] in the vehicle file"
+    )
+
+
+def advise_on_time(cell: str) -> str:
+    """Return advice on a text that looks like a time but is none; empty if there is none."""
     if re.search(r":\d\d:60(?!\d)", cell):
         return "leap seconds are not known: write the second before or after, or remove the row"
     if re.fullmatch(r"\d{1,2}:\d\d\.\d", cell.strip()):
         return "a spreadsheet left minutes and seconds of it: export dates as text, or as yyyy-mm-dd hh:mm:ss.000"
     if re.fullmatch(r"\d{1,2}:\d\d(:\d\d\S*)?", cell.strip()):
         return "name the column of dates as date_column under [telemetry]"
-    return (
-        "write it as 2026-01-31T23:59:59Z, or set time_format under [telemetry] in the vehicle file"
-    )
+    return ""
