@@ -13,12 +13,14 @@ import xarray as xr
 import sunspin as ss
 from sunspin.base.errors import TelemetryError
 from sunspin.output.text import start_texts
+from sunspin.telemetry.dates import rewrite_date
 from sunspin.telemetry.restarts import (
     Frames,
     find_boot_starts,
     find_clock_set_back,
     find_uptime_restart,
 )
+from sunspin.telemetry.times import parse_utc
 from sunspin.telemetry.timescales import leap_seconds_between, tai_ahead, utc_of_tai
 from sunspin.vehicle.file import parse_vehicle
 
@@ -618,6 +620,12 @@ NOTATIONS = {
     "ITOS": lambda t: f"{t:%Y:%j:%H:%M:%S.%f}",
     "day of the year": lambda t: f"{t:%Y/%j-%H:%M:%S.%f}",
     "digits": lambda t: f"{t:%Y%m%d%H%M%S}",
+    "C": lambda t: f"{t:%a %b} {t.day:2d} {t:%H:%M:%S %Y}",
+    "Unix": lambda t: f"{t:%a %b %d %H:%M:%S UTC %Y}",
+    "Oracle": lambda t: f"{t:%d-%b-%y %I.%M.%S.%f000 %p}".upper(),
+    "SAS": lambda t: f"{t:%d%b%Y:%H:%M:%S.%f}".upper(),
+    "year of two digits": lambda t: f"{t:%y/%j-%H:%M:%S.%f}",
+    "German month": lambda t: f"{t.day}. {('Januar', 'Februar')[t.month - 1]} {t:%Y %H:%M:%S} Uhr",
 }
 """Who writes a time so -> how."""
 
@@ -732,6 +740,19 @@ def test_a_reset_after_a_minute_is_no_overflow_of_a_counter_of_milliseconds(tmp_
     counts = [0, 20_000, 40_000, 60_000, 5_000, 25_000, 45_000]
     form = 'time_format = "elapsed"\ntime_scale_s = 0.001\nepoch_utc = "2026-01-01T00:00:00Z"'
     assert "overflow" not in notes(read(tmp_path, counts, form))
+
+
+@pytest.mark.parametrize(
+    "text", ["26-031", "26.031", "26/031 1", "31 Jan 11:12:07", "jan 31 11:12:07", "2may26"]
+)
+def test_numbers_and_parts_of_dates_are_no_dates(text):
+    assert rewrite_date(text, True) == text
+
+
+@pytest.mark.parametrize("month", ["März", "Mrz", "Mai", "Oktober", "Dez."])
+def test_german_months_are_known(month):
+    number = {"M": {"r": 3, "ä": 3, "a": 5}.get(month[1]), "O": 10, "D": 12}[month[0]]
+    assert parse_utc(rewrite_date(f"2. {month} 2026 11:58:07")).month == number
 
 
 def test_dates_in_TT_and_Julian_Dates_are_read_as_UTC(tmp_path):

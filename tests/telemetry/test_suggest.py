@@ -382,6 +382,7 @@ def test_a_date_and_a_time_of_day_in_two_columns_and_a_row_of_units_are_read(dat
         ("year,doy", "2026,{doy:.9f}"),
         ("seconds,subseconds", "{unix},{sub}"),
         ("tv_sec,tv_usec", "{unix},{ms}000"),
+        ("header.stamp.secs,header.stamp.nsecs", "{unix},{ms}000000"),
         ("TIMESEC,TIMEUS", "{unix},{ms}000"),
         ("RECEIVED_TIMESECONDS,PACKET_TIMESECONDS", "1769859999.5,{unix}.{ms:03d}"),
         ("WN,SOW,ms", "2403,{tow},{ms}"),

@@ -17,6 +17,9 @@ from sunspin.vehicle import TelemetryForm
 MONTHS = ("jan", "feb", "mar", "apr", "may", "jun", "jul", "aug", "sep", "oct", "nov", "dec")
 """First letters of the English names of the months."""
 
+GERMAN_MONTHS = {"mär": "mar", "mrz": "mar", "mai": "may", "okt": "oct", "dez": "dec"}
+"""First letters of German names of months -> those of the English ones, if they differ."""
+
 WEEKDAY = r"(?:(?:mon|tue|wed|thu|fri|sat|sun)[a-z]*\.?,? +)?"
 
 UNORDERED = r"(?P<first>\d{1,2})[/-](?P<second>\d{1,2})[/-](?P<year>\d{4}|\d\d)"
@@ -25,9 +28,11 @@ UNORDERED = r"(?P<first>\d{1,2})[/-](?P<second>\d{1,2})[/-](?P<year>\d{4}|\d\d)"
 DATES = (
     r"(?P<year>\d{4})[-/.](?P<month>\d{1,2})[-/.](?P<day>\d{1,2})",
     r"(?P<year>\d{4})[-/.:](?P<day_of_year>\d{3})",
+    r"(?P<year>\d\d)[-/](?P<day_of_year>\d{3})(?=[-:/t ]\d\d?:\d\d)",
     r"(?P<year>\d{4})(?P<month>\d\d)(?P<day>\d\d)(?= ?\d{6})",
     r"(?P<day>\d{1,2})\.(?P<month>\d{1,2})\.(?P<year>\d{4}|\d\d)",
-    r"(?P<day>\d{1,2})[- ](?P<name>[a-z]{3,9})[- ,]+(?P<year>\d{4})",
+    r"(?P<day>\d{1,2})\.?[- ]?(?P<name>[a-zä]{3,9})\.?[- ,]*(?P<year>\d{4})",
+    r"(?P<day>\d{1,2})-(?P<name>[a-z]{3})-(?P<year>\d\d)(?!:)",
     r"(?P<name>[a-z]{3,9})\.? (?P<day>\d{1,2}),? (?P<year>\d{4})",
     UNORDERED,
 )
@@ -50,6 +55,11 @@ NOTATIONS = tuple(
 
 BEGINS_UNORDERED = re.compile(rf"{WEEKDAY}{UNORDERED}\b")
 
+YEAR_LAST = re.compile(
+    rf"({WEEKDAY}[a-z]{{3,9}} +\d{{1,2}}) +(\d\d?:\d\d:\d\d\S*)( [a-z]{{3}})? (\d{{4}})"
+)
+"""A date with the year after the time of day, in small letters, as C and Unix write it: sat jan 31 11:58:00 utc 2026."""
+
 COMPACT_TIME = re.compile(r"(?:[01]\d|2[0-3])[0-5]\d[0-5]\d(?:[.,]\d+)?", re.ASCII)
 """A time such as 091500.25, which stands next to a date such as 20260131."""
 
@@ -64,6 +74,7 @@ def rewrite_date(text: str, day_first: bool | None = None) -> str:
     if parse_utc(text) is not None:
         return text
     small = re.sub("[年月]", "-", text).replace("日", " ").strip().lower()
+    small = YEAR_LAST.sub(r"\1 \4 \2\3", re.sub(" *uhr$", "", re.sub(" +", " ", small)))
     match = next((found for each in NOTATIONS if (found := each.fullmatch(small))), None)
     if match is None:
         return text
@@ -75,6 +86,7 @@ def rewrite_date(text: str, day_first: bool | None = None) -> str:
             return text
         day, month = (part["first"], part["second"])[:: 1 if day_first else -1]
     if name := part.get("name"):
+        name = GERMAN_MONTHS.get(name[:3], name)
         month = str(MONTHS.index(name[:3]) + 1) if name[:3] in MONTHS else "0"
     date = f"{year}-{part['day_of_year']}" if part.get("day_of_year") else ""
     date = date or f"{year}-{month:0>2}-{day:0>2}"

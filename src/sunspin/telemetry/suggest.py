@@ -114,21 +114,8 @@ MILLI = 30.0
 """A reading without a unit above this is in thousandths: no single panel gives 30 A or 30 W."""
 
 TIME_WORDS = ("time", "timestamp", "date", "datetime", "utc", "unix", "epoch", "uptime", "ts", "t")
-TIME_WORDS += (
-    "tt",
-    "tdb",
-    "met",
-    "obt",
-    "sclk",
-    "scet",
-    "mjd",
-    "jd",
-    "julian",
-    "cuc",
-    "tai",
-    "gpst",
-    "j2000",
-)
+TIME_WORDS += ("stamp", "met", "obt", "sclk", "scet", "mjd", "jd", "julian")
+TIME_WORDS += ("cuc", "tai", "gpst", "j2000")
 """Words in the name of a time column, the likeliest first."""
 
 SECOND_WORDS = ("s", "sec", "secs", "second", "seconds", "coarse", "tv")
@@ -188,8 +175,11 @@ EXTREME_WORDS = ("min", "minimum", "max", "maximum", "std", "stddev", "sigma")
 """Words in the name of a column of other statistics than the mean of an interval."""
 
 SENSOR_WORDS = {
-    "gyro": ("gyro", "gyr", "gyros", "gyroscope", "omega", "rate", "rates"),
-    "magnetometer": ("mag", "magn", "magnetometer", "mtm", "mgm", "field"),
+    "gyro": (
+        *("gyro", "gyr", "gyros", "gyroscope", "omega", "rate", "rates"),
+        *("drehrate", "drehraten", "gyroskop", "kreisel"),
+    ),
+    "magnetometer": ("mag", "magn", "magnetometer", "mtm", "mgm", "field", "magnetfeld"),
 }
 """Table of the vehicle file -> words in the names of the columns of that sensor."""
 
