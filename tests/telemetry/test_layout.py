@@ -77,7 +77,22 @@ def databases(rows: pd.DataFrame) -> dict[str, str]:
         f"eps,panel={row['name']},sat=my\\ sat value={row['value']} {row['unix_s']}000000000"
         for row in long.to_dict("records")
     ]
+    targets = [
+        {"target": name, "datapoints": part[["value", "unix_s"]].to_numpy().tolist()}
+        for name, part in long.groupby("name")
+    ]
+    series = [
+        {
+            "name": "eps",
+            "tags": {"panel": name},
+            "columns": ["time", "value"],
+            "values": part[["time_utc", "value"]].to_numpy().tolist(),
+        }
+        for name, part in long.groupby("name")
+    ]
     return {
+        "graphite": json.dumps(targets),
+        "influx 1": json.dumps({"results": [{"statement_id": 0, "series": series}]}),
         "prometheus": json.dumps({"status": "success", "data": matrix}, indent=1),
         "yamcs lines": "\n".join(map(json.dumps, parameters)),
         "yamcs page": json.dumps({"parameter": parameters}),
@@ -85,10 +100,12 @@ def databases(rows: pd.DataFrame) -> dict[str, str]:
     }
 
 
-@pytest.mark.parametrize("form", ["prometheus", "yamcs lines", "yamcs page", "line protocol"])
+@pytest.mark.parametrize(
+    "form", ["prometheus", "yamcs lines", "yamcs page", "line protocol", "graphite", "influx 1"]
+)
 def test_answers_of_databases_of_time_series_are_rows_of_one_value(form, tmp_path, expected):
     text = databases(template_rows())[form]
-    time_format = "utc" if "yamcs" in form else "unix"
+    time_format = "utc" if "yamcs" in form or form == "influx 1" else "unix"
     found = read(tmp_path, text, time_column="time", time_format=time_format)
     assert_same_samples(found, expected)
 
@@ -112,9 +129,14 @@ def test_series_of_several_metrics_and_labels_have_the_names_that_tell_them_apar
     "change", [None, 3, [], [5], [{"metric": 2}], [{"metric": {}, "values": 7}]]
 )
 def test_an_odd_answer_of_a_database_is_no_traceback(change, tmp_path):
-    document = {"data": {"resultType": "matrix", "result": change}, "parameter": change}
-    with pytest.raises(TelemetryError):
-        read(tmp_path, json.dumps(document))
+    results = [{"series": [change, {"columns": ["time", "a"], "values": change}]}]
+    for document in (
+        {"data": {"resultType": "matrix", "result": change}, "parameter": change},
+        {"results": results},
+        [{"target": 3, "datapoints": change}, change],
+    ):
+        with pytest.raises(TelemetryError):
+            read(tmp_path, json.dumps(document))
 
 
 def test_decimal_commas_in_quotes_are_read_in_a_file_with_commas(tmp_path, expected):

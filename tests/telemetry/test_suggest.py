@@ -543,7 +543,8 @@ def test_the_name_of_a_file_says_that_old_Unix_times_are_of_GPS(stem, time_forma
     zero = MIDSUMMER + 18 - 315964800
     rows = "".join(f"{zero + 10 * k},{100 + k},{200 - k}\n" for k in range(9))
     (folder / f"{stem}.csv").write_text(f"time,iXp,iXm\n{rows}", "utf-8")
-    assert CliRunner().invoke(cli, ["init", "mine", "--from", f"{stem}.csv"]).exit_code == 0
+    done = CliRunner().invoke(cli, ["init", "mine", "--from", f"{stem}.csv"])
+    assert ("by the name of the file; as" in done.output) == (time_format == "gps")
     text = (folder / "mine" / "vehicle.toml").read_text("utf-8")
     assert f'time_format = "{time_format}"' in text
     assert time_format == "gps" or "since 1970: 2016" in text

@@ -1,6 +1,6 @@
 """Exports of databases of time series: one row for each value, with the columns time, series and value.
 
-Prometheus and YAMCS answer in JSON, InfluxDB writes line protocol.
+Prometheus, YAMCS, Graphite and InfluxDB 1 answer in JSON, InfluxDB exports line protocol.
 """
 
 from __future__ import annotations
@@ -33,14 +33,23 @@ UNNAMED = ("value", "_value")
 
 
 def rows_of_series(document: Any) -> list[dict[str, Any]] | None:
-    """Return the rows of a JSON answer of Prometheus or of parameters of YAMCS; None for any other document.
+    """Return the rows of a JSON answer of Prometheus, YAMCS, Graphite or InfluxDB 1; None for any other document.
 
     Prometheus: `{"data": {"resultType": "matrix", "result": [{"metric": {...}, "values": [[t, "v"], ...]}]}}`. YAMCS: objects with
-    `id`, `engValue` (else `rawValue`) and `generationTime`, one or a list, alone or under `parameter`.
+    `id`, `engValue` (else `rawValue`) and `generationTime`, one or a list, alone or under `parameter`. Graphite: objects with
+    `target` and `datapoints`, which are pairs of value and time. InfluxDB 1: several series, each with `columns`, `values` and `tags`.
     """
     data = document.get("data") if isinstance(document, dict) else None
     if isinstance(data, dict) and data.get("resultType") in ("matrix", "vector"):
         return _rows_of_prometheus(data.get("result"))
+    if isinstance(document, dict) and isinstance(document.get("results"), list):
+        return _rows_of_influx(document["results"])
+    if isinstance(document, list) and document and all(map(_is_target, document)):
+        return [
+            {"time": time, "series": item["target"], "value": value}
+            for item in document
+            for value, time in item["datapoints"]
+        ]
     items = document.get("parameter") if isinstance(document, dict) else document
     items = items if isinstance(items, list) else [document]
     if not items or not all(map(_is_parameter, items)):
@@ -63,6 +72,39 @@ def _is_parameter(item: Any) -> bool:
     is_dated = "generationTimeUTC" in item or "generationTime" in item
     value = item.get("engValue") or item.get("rawValue")
     return is_dated and "name" in item["id"] and isinstance(value, dict)
+
+
+def _is_target(item: Any) -> bool:
+    """Return whether a JSON value is a series of Graphite."""
+    points = item.get("datapoints") if isinstance(item, dict) and "target" in item else None
+    return isinstance(points, list) and all(isinstance(x, list) and len(x) == 2 for x in points)
+
+
+def _rows_of_influx(results: list[Any]) -> list[dict[str, Any]] | None:
+    """Return the rows of several series of InfluxDB 1, as `GROUP BY` of a tag gives; None if there are not several."""
+    lists = [item.get("series") for item in results if isinstance(item, dict)]
+    series = [one for each in lists if isinstance(each, list) for one in each]
+    if len(series) < 2:
+        return None
+    labels: list[dict[str, str]] = []
+    values: list[tuple[Any, Any]] = []
+    for one in series:
+        columns, rows = (
+            (one.get("columns"), one.get("values")) if isinstance(one, dict) else ([], [])
+        )
+        if not (isinstance(columns, list) and isinstance(rows, list) and columns[:1] == ["time"]):
+            return None
+        tags = one.get("tags")
+        tags = tags if isinstance(tags, dict) else {}
+        label = {key: str(text) for key, text in {"measurement": one.get("name"), **tags}.items()}
+        for row in rows:
+            if not isinstance(row, list) or len(row) != len(columns):
+                return None
+            labels += [label | {"field": str(name)} for name in columns[1:]]
+            values += [(row[0], value) for value in row[1:]]
+    names = _name_series(labels, "field")
+    pairs = zip(names, values, strict=True)
+    return [{"time": time, "series": name, "value": value} for name, (time, value) in pairs]
 
 
 def _rows_of_prometheus(result: Any) -> list[dict[str, Any]] | None:

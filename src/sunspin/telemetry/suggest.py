@@ -668,6 +668,8 @@ def _find_times(table: TextTable) -> _Times | None:
             is_unix = lines[0].startswith('time_format = "unix"')
             if is_unix and not scale and "gps" in _file_words(table) and _may_be_gps(cells, words):
                 scale, how = "gps", "by the name of the file; check this"
+                note = '# check time_format: "gps" by the name of the file; as "unix" the times are ten years earlier'
+                lines = [*lines, note]
             if scale and is_date and has_zone:
                 named_scale = next(word for word in named if word in TIME_SCALES).upper()
                 note = f"# check time_format: the name of the column says {named_scale}, and the dates UTC, by which they are read"
