@@ -37,7 +37,7 @@ def rows_of_series(document: Any) -> list[dict[str, Any]] | None:
 
     Prometheus: `{"data": {"resultType": "matrix", "result": [{"metric": {...}, "values": [[t, "v"], ...]}]}}`. YAMCS: objects with
     `id`, `engValue` (else `rawValue`) and `generationTime`, one or a list, alone or under `parameter`. Graphite: objects with
-    `target` and `datapoints`, which are pairs of value and time. InfluxDB 1: several series, each with `columns`, `values` and `tags`.
+    `target` and `datapoints`, which are pairs of value and time. InfluxDB 1: several series with `columns`, `values`, `tags`.
     """
     data = document.get("data") if isinstance(document, dict) else None
     if isinstance(data, dict) and data.get("resultType") in ("matrix", "vector"):

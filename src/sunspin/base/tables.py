@@ -168,6 +168,7 @@ def read_table(path: Path) -> TextTable:
             cells, counted = _read_json(text, where)
         elif is_line_protocol(text):
             rows, numbers = read_line_protocol(text, where)
+            _require_size(len(rows), len(rows[0]), where)
             cells, counted = pd.DataFrame(rows, numbers, dtype=object), "line"
         else:
             cells, comments = _read_csv(text, where)
