@@ -127,6 +127,8 @@ def test_the_section_for_a_row_for_each_value_reads_the_file(folder):
     [
         ("Time,panel,current_mA", "{t},{face},{x}"),
         ("Parameter Name,Generation Time,Raw Value,Eng Value", "/SAT/I_{face}_mA,{t},7,{x}"),
+        ("time,face,metric,value", "{t},{face},current_mA,{x}\n{t},{face},temperature_C,21"),
+        ("time,face,metric,value", "{t},{face},I_{face}_mA,{x}"),
     ],
 )
 def test_rows_of_one_value_are_known_by_other_names_of_columns_too(header, row, folder):

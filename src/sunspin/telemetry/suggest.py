@@ -831,7 +831,8 @@ def _describe_counts(known: np.ndarray, named: list[str]) -> list[str]:
     named_s = units_s[-1] if units_s else None
     if named_s is not None and named_s > 1 and named_s * usual_step > MOST_DAYS * 86_400:
         named_s = None
-    if FIRST_JD < typical < LAST_JD and ("jd" in words or "julian" in words or in_days):
+    may_be_days = in_days and named_s is None
+    if FIRST_JD < typical < LAST_JD and ("jd" in words or "julian" in words or may_be_days):
         lines = [_entry('time_format = "jd"', "days of the Julian Date; check this: of UTC")]
         if words & {"tt", "tdb", "tai"}:
             lines.append(
