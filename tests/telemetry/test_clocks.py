@@ -13,12 +13,14 @@ import xarray as xr
 import sunspin as ss
 from sunspin.base.errors import TelemetryError
 from sunspin.output.text import start_texts
+from sunspin.telemetry.dates import rewrite_date
 from sunspin.telemetry.restarts import (
     Frames,
     find_boot_starts,
     find_clock_set_back,
     find_uptime_restart,
 )
+from sunspin.telemetry.times import parse_utc
 from sunspin.telemetry.timescales import leap_seconds_between, tai_ahead, utc_of_tai
 from sunspin.vehicle.file import parse_vehicle
 
@@ -618,6 +620,12 @@ NOTATIONS = {
     "ITOS": lambda t: f"{t:%Y:%j:%H:%M:%S.%f}",
     "day of the year": lambda t: f"{t:%Y/%j-%H:%M:%S.%f}",
     "digits": lambda t: f"{t:%Y%m%d%H%M%S}",
+    "C": lambda t: f"{t:%a %b} {t.day:2d} {t:%H:%M:%S %Y}",
+    "Unix": lambda t: f"{t:%a %b %d %H:%M:%S UTC %Y}",
+    "Oracle": lambda t: f"{t:%d-%b-%y %I.%M.%S.%f000 %p}".upper(),
+    "SAS": lambda t: f"{t:%d%b%Y:%H:%M:%S.%f}".upper(),
+    "year of two digits": lambda t: f"{t:%y/%j-%H:%M:%S.%f}",
+    "German month": lambda t: f"{t.day}. {('Januar', 'Februar')[t.month - 1]} {t:%Y %H:%M:%S} Uhr",
 }
 """Who writes a time so -> how."""
 
@@ -717,7 +725,57 @@ def test_a_counter_that_overflows_goes_on(bits, scale, tmp_path):
     assert "taken for rows out of order" in notes(gap)
 
 
+def test_a_short_counter_that_overflows_twice_goes_on_and_one_fall_is_a_reset(tmp_path):
+    """After 12 bits the clock was taken for one that was reset. A single fall may be a reset near 4096."""
+    true = np.arange(60) * 200
+    form = 'time_format = "elapsed"\nepoch_utc = "2026-01-01T00:00:00Z"'
+    data = read(tmp_path, true % 4096, form)
+    np.testing.assert_array_equal(data["time"], true)
+    assert "after 4096 counts at line 23, 2 times in all" in notes(data)
+    with pytest.raises(TelemetryError, match="a clock that was reset"):
+        read(tmp_path, true[:40] % 4096, form)
+
+
 def test_a_reset_after_a_minute_is_no_overflow_of_a_counter_of_milliseconds(tmp_path):
     counts = [0, 20_000, 40_000, 60_000, 5_000, 25_000, 45_000]
     form = 'time_format = "elapsed"\ntime_scale_s = 0.001\nepoch_utc = "2026-01-01T00:00:00Z"'
     assert "overflow" not in notes(read(tmp_path, counts, form))
+
+
+@pytest.mark.parametrize(
+    "text", ["26-031", "26.031", "26/031 1", "31 Jan 11:12:07", "jan 31 11:12:07", "2may26"]
+)
+def test_numbers_and_parts_of_dates_are_no_dates(text):
+    assert rewrite_date(text, True) == text
+
+
+@pytest.mark.parametrize("month", ["März", "Mrz", "Mai", "Oktober", "Dez."])
+def test_german_months_are_known(month):
+    number = {"M": {"r": 3, "ä": 3, "a": 5}.get(month[1]), "O": 10, "D": 12}[month[0]]
+    assert parse_utc(rewrite_date(f"2. {month} 2026 11:58:07")).month == number
+
+
+def test_dates_in_TT_and_Julian_Dates_are_read_as_UTC(tmp_path):
+    for form, cells in (
+        ("tt", ["2026-01-01T00:01:09.184", "2026-01-01 00:01:19.184 TDB"]),
+        ("jd", ["2461041.5", f"{2461041.5 + 10 / 86400:.10f}"]),
+    ):
+        data = read(tmp_path, cells, f'time_format = "{form}"')
+        assert data.attrs["epoch_utc"].startswith("2026-01-01T00:00:00")
+        np.testing.assert_allclose(data["time"], [0, 10], atol=1e-3)
+    with pytest.raises(TelemetryError, match='for seconds set time_format = "elapsed" and epoch'):
+        read(tmp_path, [820497669.184], 'time_format = "tt"')
+    with pytest.raises(TelemetryError, match="Julian Dates are expected, such as 2461072.5"):
+        read(tmp_path, ["2026-01-01"], 'time_format = "jd"')
+
+
+def test_parts_of_a_date_that_are_none_are_shown(tmp_path):
+    header = "year,month,day,hour,minute,second,pa,pb"
+    path = tmp_path / "t.csv"
+    path.write_text(f"{header}\n2026,2,28,23,59,60,1,1\n2026,3,1,0,0,10,1,2\n")
+    data = ss.read_telemetry(path, craft(""))
+    assert data.attrs["epoch_utc"] == "2026-03-01T00:00:00Z"
+    assert "times are made of columns year, month, day, hour, minute, second" in notes(data)
+    path.write_text(f"{header}\n2026,2,30,23,59,60,1,1\n2026,3,1,0,0,10,1,2\n")
+    with pytest.raises(TelemetryError, match="line 2, column 't': .*2026 2 30 23 59 60"):
+        ss.read_telemetry(path, craft(""))

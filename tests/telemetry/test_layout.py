@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+import re
 from dataclasses import replace
+from datetime import datetime
 from importlib import resources
 
 import numpy as np
@@ -11,6 +13,8 @@ import pandas as pd
 import pytest
 
 import sunspin as ss
+from sunspin.base.errors import TelemetryError
+from sunspin.base.tables import read_table
 from sunspin.vehicle.file import parse_vehicle
 
 TEMPLATE = resources.files("sunspin").joinpath("template")
@@ -46,6 +50,107 @@ def assert_same_samples(found, expected):
 
 def by_metric(rows: pd.DataFrame) -> pd.DataFrame:
     return rows.melt("time_utc", var_name="Series", value_name="Value")
+
+
+def databases(rows: pd.DataFrame) -> dict[str, str]:
+    """Return rows as Prometheus, YAMCS and InfluxDB (line protocol) write them; the series have the names of the panels."""
+    long = rows.melt("time_utc", var_name="name", value_name="value")
+    long["unix_s"] = [int(datetime.fromisoformat(cell).timestamp()) for cell in long["time_utc"]]
+    result = [
+        {
+            "metric": {"__name__": name, "job": "eps"},
+            "values": part[["unix_s", "value"]].to_numpy().tolist(),
+        }
+        for name, part in long.groupby("name")
+    ]
+    matrix = {"resultType": "matrix", "result": result}
+    parameters = [
+        {
+            "id": {"name": row["name"], "namespace": "/SAT"},
+            "rawValue": {"type": "UINT32", "uint32Value": 7},
+            "engValue": {"type": "FLOAT", "floatValue": float(row["value"])},
+            "generationTime": row["time_utc"],
+        }
+        for row in long.to_dict("records")
+    ]
+    lines = [
+        f"eps,panel={row['name']},sat=my\\ sat value={row['value']} {row['unix_s']}000000000"
+        for row in long.to_dict("records")
+    ]
+    targets = [
+        {"target": name, "datapoints": part[["value", "unix_s"]].to_numpy().tolist()}
+        for name, part in long.groupby("name")
+    ]
+    series = [
+        {
+            "name": "eps",
+            "tags": {"panel": name},
+            "columns": ["time", "value"],
+            "values": part[["time_utc", "value"]].to_numpy().tolist(),
+        }
+        for name, part in long.groupby("name")
+    ]
+    return {
+        "graphite": json.dumps(targets),
+        "influx 1": json.dumps({"results": [{"statement_id": 0, "series": series}]}),
+        "prometheus": json.dumps({"status": "success", "data": matrix}, indent=1),
+        "yamcs lines": "\n".join(map(json.dumps, parameters)),
+        "yamcs page": json.dumps({"parameter": parameters}),
+        "line protocol": "\n".join(["# DML", *lines]),
+    }
+
+
+@pytest.mark.parametrize(
+    "form", ["prometheus", "yamcs lines", "yamcs page", "line protocol", "graphite", "influx 1"]
+)
+def test_answers_of_databases_of_time_series_are_rows_of_one_value(form, tmp_path, expected):
+    text = databases(template_rows())[form]
+    time_format = "utc" if "yamcs" in form or form == "influx 1" else "unix"
+    found = read(tmp_path, text, time_column="time", time_format=time_format)
+    assert_same_samples(found, expected)
+
+
+def test_series_of_several_metrics_and_labels_have_the_names_that_tell_them_apart(tmp_path):
+    lines = [
+        f'eps,panel={panel},sat=A current={k}i,on=true,text="a, b=c d" 1767225600000000000'
+        for k, panel in enumerate(("xp", "xm"))
+    ]
+    path = tmp_path / "export.lp"
+    path.write_text("\n".join(lines))
+    cells = read_table(path).cells
+    assert cells["series"].tolist()[:3] == ["xp.current", "xp.on", "xp.text"]
+    assert cells["value"].tolist()[3:] == ["1", "1", "a, b=c d"]
+    path.write_text("\n".join([*lines, "eps,panel=xp current=3"]))
+    with pytest.raises(TelemetryError, match="line 3: this is no line of InfluxDB line protocol"):
+        read_table(path)
+
+
+@pytest.mark.parametrize(
+    "change", [None, 3, [], [5], [{"metric": 2}], [{"metric": {}, "values": 7}]]
+)
+def test_an_odd_answer_of_a_database_is_no_traceback(change, tmp_path):
+    results = [{"series": [change, {"columns": ["time", "a"], "values": change}]}]
+    for document in (
+        {"data": {"resultType": "matrix", "result": change}, "parameter": change},
+        {"results": results},
+        [{"target": 3, "datapoints": change}, change],
+    ):
+        with pytest.raises(TelemetryError):
+            read(tmp_path, json.dumps(document))
+
+
+def test_decimal_commas_in_quotes_are_read_in_a_file_with_commas(tmp_path, expected):
+    rows = template_rows()
+    quoted = rows[PANELS].map(lambda cell: f'"{cell.replace(".", ",")}"')
+    lines = [
+        ",".join([time, *cells])
+        for time, cells in zip(rows["time_utc"], quoted.values.tolist(), strict=True)
+    ]
+    assert_same_samples(read(tmp_path, "\n".join([",".join(rows), *lines])), expected)
+    # these may be thousands
+    lines = [re.sub('"[^"]*"', '"1,234"', line) for line in lines]
+    with pytest.raises(TelemetryError, match="decimal comma or a thousands separator"):
+        read(tmp_path, "\n".join([",".join(rows), *lines]))
 
 
 INFLUX = """#group,false,false,true,true,false,false,true,true

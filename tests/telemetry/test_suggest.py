@@ -6,7 +6,7 @@ import csv
 import io
 import json
 import re
-from datetime import datetime
+from datetime import UTC, datetime
 from importlib import resources
 
 import numpy as np
@@ -120,6 +120,50 @@ def test_the_section_for_a_row_for_each_value_reads_the_file(folder):
     vehicle = ss.load_vehicle(folder / "mine" / "vehicle.toml")
     found = ss.read_telemetry(folder / "export.jsonl", vehicle)
     assert found["current_A"].shape == (40, 5)
+
+
+@pytest.mark.parametrize(
+    ("header", "row"),
+    [
+        ("Time,panel,current_mA", "{t},{face},{x}"),
+        ("Parameter Name,Generation Time,Raw Value,Eng Value", "/SAT/I_{face}_mA,{t},7,{x}"),
+        ("time,face,metric,value", "{t},{face},current_mA,{x}\n{t},{face},temperature_C,21"),
+        ("time,face,metric,value", "{t},{face},I_{face}_mA,{x}"),
+    ],
+)
+def test_rows_of_one_value_are_known_by_other_names_of_columns_too(header, row, folder):
+    lines = [
+        row.format(t=f"2026-01-01T00:00:{k:02d}Z", face=face, x=400 + k + 100 * (face == "xm"))
+        for k in range(9)
+        for face in ("xp", "xm")
+    ]
+    (folder / "export.csv").write_text("\n".join([header, *lines]), "utf-8")
+    done = CliRunner().invoke(cli, ["init", "mine", "--from", "export.csv"])
+    assert done.exit_code == 0, done.exception
+    vehicle = ss.load_vehicle(folder / "mine" / "vehicle.toml")
+    data = ss.read_telemetry(folder / "export.csv", vehicle)
+    np.testing.assert_allclose(data["current_A"].sel(panel="-X"), 0.5 + 0.001 * np.arange(9))
+
+
+@pytest.mark.parametrize(
+    ("names", "quantity"),
+    [
+        ("Spannung {},Temperatur {},Strom {}", "current_A"),
+        ("Tensión {},Temperatura {},Corriente {}", "current_A"),
+        ("Tension {},Courant {}", "current_A"),
+        ("Spannung {},Leistung {}", "power_W"),
+    ],
+)
+def test_voltages_in_other_languages_are_no_currents(names, quantity, folder):
+    """Voltages were taken for powers, as they come first."""
+    columns = [name.format(face) for name in names.split(",") for face in ("X+", "X-")]
+    cells = ["4,71"] * (len(columns) - 2) + ["412", "100"]
+    text = "\n".join([";".join(["Zeit", *columns]), ";".join(["31.01.2026 11:58:00", *cells])])
+    (folder / "export.csv").write_text(text, "utf-8")
+    assert CliRunner().invoke(cli, ["init", "mine", "--from", "export.csv"]).exit_code == 0
+    craft = ss.load_vehicle(folder / "mine" / "vehicle.toml")
+    assert craft.telemetry.quantity == quantity
+    assert craft.telemetry.columns["+X"] == columns[-2]
 
 
 def test_init_from_a_file_knows_its_panels_and_makes_no_inertia_and_no_wheel_up(folder):
@@ -270,11 +314,11 @@ def test_columns_of_other_readings_of_a_panel_are_no_currents(name, folder):
     ("header", "what", "do"),
     [
         ("time,iXp [cnt; mA = 0.12*N],iXm [cnt; mA = 0.12*N]", "its unit is not known", "scale"),
-        ("JD,iXp,iXm", "column 'JD' may hold days from long before our era", "MJD"),
+        ("datenum,iXp,iXm", "'datenum' may hold days from long before our era", "datenum - 678942"),
     ],
 )
 def test_units_and_days_that_are_not_known_are_named(header, what, do, folder):
-    time = "2461071.5" if header[0] == "J" else "2026-01-01"
+    time = "740013.5" if header[0] == "d" else "2026-01-01"
     (folder / "export.csv").write_text(f"{header}\n{time},20,30\n", "utf-8")
     done = CliRunner().invoke(cli, ["init", "mine", "--from", "export.csv"])
     assert what in str(done.exception) and do in str(done.exception)
@@ -293,6 +337,7 @@ def test_columns_of_panels_without_numbers_are_named_with_a_cell(cell, folder):
     done = CliRunner().invoke(cli, ["init", "mine", "--from", "export.csv"])
     assert "column 'iXp' may be of a panel, but its cells are not numbers" in str(done.exception)
     assert cell in str(done.exception)
+    assert ("without `Formatted data`" in str(done.exception)) == (cell == "412 mA")
 
 
 @pytest.mark.parametrize("cell", ["58:00.3", "2026-01-31 12:00:00 CET"])
@@ -302,6 +347,8 @@ def test_times_that_cannot_be_read_are_named_with_a_cell(cell, folder):
     done = CliRunner().invoke(cli, ["init", "mine", "--from", "export.csv"])
     words = f"column 'Time' may hold times, but they cannot be read, such as {cell!r}"
     assert words in str(done.exception)
+    is_cut = "a spreadsheet left minutes and seconds of it" in str(done.exception)
+    assert is_cut == cell.startswith("58")
 
 
 @pytest.mark.parametrize("date", ["2026-01-31", "31.01.2026", "31/01/2026", "01/31/26"])
@@ -330,6 +377,19 @@ def test_a_date_and_a_time_of_day_in_two_columns_and_a_row_of_units_are_read(dat
         ("gps_week,TOW_ms", "2403,{tow}{ms:03d}"),
         ("mjd", "{mjd:.9f}"),
         ("date,time", "20260131,915{s:02d}.{ms:03d}"),
+        ("year,month,day,hour,minute,second", "2026,1,31,9,15,{s}.{ms:03d}"),
+        ("YYYY,MM,DD,hh,mm,ss,ms", "26,01,31,09,15,{s:02d},{ms}"),
+        ("YYYY,DDD,HH,MM,SS,ms", "2026,031,09,15,{s:02d},{ms}"),
+        ("Year,DOY,Seconds of day", "2026,31,{day:.3f}"),
+        ("year,doy", "2026,{doy:.9f}"),
+        ("seconds,subseconds", "{unix},{sub}"),
+        ("tv_sec,tv_usec", "{unix},{ms}000"),
+        ("header.stamp.secs,header.stamp.nsecs", "{unix},{ms}000000"),
+        ("TIMESEC,TIMEUS", "{unix},{ms}000"),
+        ("RECEIVED_TIMESECONDS,PACKET_TIMESECONDS", "1769859999.5,{unix}.{ms:03d}"),
+        ("WN,SOW,ms", "2403,{tow},{ms}"),
+        ("time_jd", "{jd:.10f}"),
+        ("time", "{jd:.10f}"),
     ],
 )
 def test_times_in_several_columns_and_other_counts_are_read_to_the_millisecond(
@@ -341,6 +401,8 @@ def test_times_in_several_columns_and_other_counts_are_read_to_the_millisecond(
         counts = {"s": k, "ms": ms, "unix": zero + k, "sub": int(65.536 * ms)}
         counts |= {"tow": (zero + k - 315964800 + 18) % 604800}
         counts |= {"mjd": (zero + k + ms / 1000) / 86400 + 40587}
+        counts |= {"jd": counts["mjd"] + 2400000.5, "day": 33300 + k + ms / 1000}
+        counts |= {"doy": 31 + counts["day"] / 86400}
         lines.append(f"{cells.format(**counts)},{300 + k},{200 - k},5")
     text = "\n".join([f"{names},iXp [mA],iXm [mA],latency_ms", *lines])
     (folder / "export.csv").write_text(text, "utf-8")
@@ -398,6 +460,12 @@ MIDSUMMER = 1782000000
         ("CUC coarse time", MIDSUMMER + 37 + 378691200, "check time_format: as CUC from 1958"),
         ("time_tai1958_s", MIDSUMMER + 37 + 378691200, ""),
         ("time_gpst_s", MIDSUMMER + 18 - 315964800, ""),
+        ("cuc_time", MIDSUMMER, "as CUC from 1970 the times are of 2026"),
+        ("cuc_time", MIDSUMMER + 18 - 315964800, "as CUC from 1980 the times are of 2026"),
+        ("cuc_seconds", MIDSUMMER - 946684800, "as CUC from 2000 the times are of 2026"),
+        ("time_tdb", MIDSUMMER + 69.184 - 946728000, ""),
+        ("time_tt", MIDSUMMER + 69.184, ""),
+        ("ET", MIDSUMMER + 69.184 - 946728000, ""),
         ("time_j2000_s", MIDSUMMER + 69.184 - 946728000, ""),
         ("Time (J2000) [ms]", (MIDSUMMER + 69.184 - 946728000) * 1000, ""),
         ("obt_unix", MIDSUMMER, ""),
@@ -425,7 +493,13 @@ def test_counts_from_other_epochs_than_1970_are_dated_by_the_name_of_the_column(
     [
         ("obt", MIDSUMMER + 18 - 315964800, "(GPS) shows 2026"),
         ("time", MIDSUMMER + 2082844800, "as Unix times these are of 2092"),
-        ("cuc_time", MIDSUMMER + 18 - 315964800, ""),
+        ("cuc_time", 12345, ""),
+        ("time_tai", MIDSUMMER + 37, "for TAI from 1970 (2026) set"),
+        (
+            "gps_time",
+            MIDSUMMER,
+            'as GPS seconds the times are of 2036, as Unix times ("unix") of 2026',
+        ),
     ],
 )
 def test_a_count_that_may_have_another_epoch_than_1970_is_named(name, zero, words, folder):
@@ -434,7 +508,48 @@ def test_a_count_that_may_have_another_epoch_than_1970_is_named(name, zero, word
     done = CliRunner().invoke(cli, ["init", "mine", "--from", "export.csv"])
     assert words in done.output
     text = (folder / "mine" / "vehicle.toml").read_text("utf-8")
-    assert words or "REPLACE by the UTC of time zero, which the mission sets" in text
+    assert words or "REPLACE by the UTC of time zero" in text
+
+
+def test_TAI_from_1970_is_read_as_the_note_says(folder):
+    rows = "".join(f"{MIDSUMMER + 37 + 10 * k},{100 + k},{200 - k}\n" for k in range(9))
+    (folder / "export.csv").write_text(f"time_tai,iXp,iXm\n{rows}", "utf-8")
+    CliRunner().invoke(cli, ["init", "mine", "--from", "export.csv"])
+    path = folder / "mine" / "vehicle.toml"
+    text = path.read_text("utf-8")
+    (note,) = re.findall(r"for TAI from 1970 .*? set (.*)", text)
+    stated = note.replace(", ", "\n").replace(" and ", "\n")
+    path.write_text(re.sub(r'(?m)^time_format = "tai".*', lambda _: stated, text), "utf-8")
+    data = ss.read_telemetry(folder / "export.csv", ss.load_vehicle(path))
+    first = datetime.fromisoformat(data.attrs["epoch_utc"]).timestamp() + float(data["time"][0])
+    assert first == pytest.approx(MIDSUMMER, abs=1e-3)
+
+
+@pytest.mark.parametrize("name", ["time_tai", "time_tt", "time (TDB)", "gps_time"])
+def test_dates_in_another_scale_than_UTC_are_converted_or_named(name, folder):
+    ahead_s = {"time_tai": 37.0, "gps_time": 18.0}.get(name, 69.184)
+    date = datetime.fromtimestamp(MIDSUMMER + ahead_s, UTC).isoformat().removesuffix("+00:00")
+    (folder / "export.csv").write_text(f"{name},iXp,iXm\n{date},100,200\n", "utf-8")
+    done = CliRunner().invoke(cli, ["init", "mine", "--from", "export.csv"])
+    assert "note:" not in done.output
+    craft = ss.load_vehicle(folder / "mine" / "vehicle.toml")
+    found = ss.read_telemetry(folder / "export.csv", craft).attrs["epoch_utc"]
+    assert datetime.fromisoformat(found).timestamp() == pytest.approx(MIDSUMMER, abs=1e-3)
+    (folder / "export.csv").write_text(f"{name},iXp,iXm\n{date}Z,100,200\n", "utf-8")
+    done = CliRunner().invoke(cli, ["init", "utc", "--from", "export.csv"])
+    assert "and the dates UTC, by which they are read" in done.output
+
+
+@pytest.mark.parametrize(("stem", "time_format"), [("sat_gps", "gps"), ("sat", "unix")])
+def test_the_name_of_a_file_says_that_old_Unix_times_are_of_GPS(stem, time_format, folder):
+    zero = MIDSUMMER + 18 - 315964800
+    rows = "".join(f"{zero + 10 * k},{100 + k},{200 - k}\n" for k in range(9))
+    (folder / f"{stem}.csv").write_text(f"time,iXp,iXm\n{rows}", "utf-8")
+    done = CliRunner().invoke(cli, ["init", "mine", "--from", f"{stem}.csv"])
+    assert ("by the name of the file; as" in done.output) == (time_format == "gps")
+    text = (folder / "mine" / "vehicle.toml").read_text("utf-8")
+    assert f'time_format = "{time_format}"' in text
+    assert time_format == "gps" or "since 1970: 2016" in text
 
 
 def test_days_of_MJD_from_2000_are_not_of_the_19th_century(folder):

@@ -1,4 +1,4 @@
-"""Reading of files with rows and columns: CSV, JSON, Parquet or NetCDF in, text cells out.
+"""Reading of files with rows and columns: CSV, JSON, line protocol, Parquet or NetCDF in, text cells out.
 
 Cells stay text until the vehicle file has given their meaning, so that an error can name the line and show its content.
 
@@ -24,6 +24,7 @@ import numpy as np
 import pandas as pd
 
 from sunspin.base.errors import TelemetryError
+from sunspin.base.series import is_line_protocol, read_line_protocol, rows_of_series
 from sunspin.base.untrusted import decode_text, decode_western, plain_number, read_bytes
 
 if TYPE_CHECKING:
@@ -42,7 +43,7 @@ DELIMITERS = ",;\t"
 """Possible delimiters of columns; the one that occurs most often in the header is used, and a bar if none of them does."""
 
 DECIMAL_COMMA = re.compile(r"(\s*[-+]?\d*),(\d+([eE][-+]?\d+)?\s*)", re.ASCII)
-"""A number with a decimal comma, as written in files with semicolons or tabs between columns."""
+"""A number with a decimal comma, as written in files with semicolons or tabs between columns, and in quotes between commas."""
 
 THOUSANDS = re.compile(
     r"\s*[-+]?[1-9]\d{0,2}([,. '\u2019\u00a0\u202f])\d{3}(\1\d{3})*([.,]\d+)?\s*", re.ASCII
@@ -165,6 +166,10 @@ def read_table(path: Path) -> TextTable:
             raise TelemetryError(what, do=do, where=where)
         if text.lstrip()[0] in "{[":
             cells, counted = _read_json(text, where)
+        elif is_line_protocol(text):
+            rows, numbers = read_line_protocol(text, where)
+            _require_size(len(rows), len(rows[0]), where)
+            cells, counted = pd.DataFrame(rows, numbers, dtype=object), "line"
         else:
             cells, comments = _read_csv(text, where)
             (cells, units), counted = _split_units(cells), "line"
@@ -254,8 +259,7 @@ def _read_csv(text: str, where: str) -> tuple[pd.DataFrame, list[str]]:
         raise TelemetryError(what, got=name or "an empty cell", do=do, where=where)
     line_numbers = list(rows)[1:]
     cells = cells.iloc[1:].set_axis(line_numbers).set_axis(names.tolist(), axis=1)
-    if delimiter != ",":
-        cells = cells.apply(_replace_decimal_commas, local=delimiter == ";")
+    cells = cells.apply(_replace_decimal_commas, local=delimiter == ";")
     return cells, comments
 
 
@@ -376,8 +380,10 @@ def _read_json(text: str, where: str) -> tuple[pd.DataFrame, str]:
             what, do = f"this is not valid JSON ({why})", "write one object a line"
             raise TelemetryError(what, do=do, where=f"{where}, line {error_line}") from None
         objects, first_number = [item], line_number
-        page = item if isinstance(item, list) else None
-        if isinstance(item, dict):
+        page = series = rows_of_series(item)
+        if series is None and isinstance(item, list):
+            page = item
+        elif series is None and isinstance(item, dict):
             # of several lines each is a row, with any lists in it
             page = item.get("results") if len(documents) > 1 else _rows_of_page(item)
         if isinstance(page, list):

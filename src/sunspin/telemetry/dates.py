@@ -10,11 +10,15 @@ import numpy as np
 from sunspin.base.errors import TelemetryError
 from sunspin.base.tables import TextTable
 from sunspin.base.untrusted import plain_number
-from sunspin.telemetry.times import parse_utc
+from sunspin.telemetry.date_parts import join_date_parts
+from sunspin.telemetry.times import parse_utc, strip_scale
 from sunspin.vehicle import TelemetryForm
 
 MONTHS = ("jan", "feb", "mar", "apr", "may", "jun", "jul", "aug", "sep", "oct", "nov", "dec")
 """First letters of the English names of the months."""
+
+GERMAN_MONTHS = {"mär": "mar", "mrz": "mar", "mai": "may", "okt": "oct", "dez": "dec"}
+"""First letters of German names of months -> those of the English ones, if they differ."""
 
 WEEKDAY = r"(?:(?:mon|tue|wed|thu|fri|sat|sun)[a-z]*\.?,? +)?"
 
@@ -24,9 +28,11 @@ UNORDERED = r"(?P<first>\d{1,2})[/-](?P<second>\d{1,2})[/-](?P<year>\d{4}|\d\d)"
 DATES = (
     r"(?P<year>\d{4})[-/.](?P<month>\d{1,2})[-/.](?P<day>\d{1,2})",
     r"(?P<year>\d{4})[-/.:](?P<day_of_year>\d{3})",
+    r"(?P<year>\d\d)[-/](?P<day_of_year>\d{3})(?=[-:/t ]\d\d?:\d\d)",
     r"(?P<year>\d{4})(?P<month>\d\d)(?P<day>\d\d)(?= ?\d{6})",
     r"(?P<day>\d{1,2})\.(?P<month>\d{1,2})\.(?P<year>\d{4}|\d\d)",
-    r"(?P<day>\d{1,2})[- ](?P<name>[a-z]{3,9})[- ,]+(?P<year>\d{4})",
+    r"(?P<day>\d{1,2})\.?[- ]?(?P<name>[a-zä]{3,9})\.?[- ,]*(?P<year>\d{4})",
+    r"(?P<day>\d{1,2})-(?P<name>[a-z]{3})-(?P<year>\d\d)(?!:)",
     r"(?P<name>[a-z]{3,9})\.? (?P<day>\d{1,2}),? (?P<year>\d{4})",
     UNORDERED,
 )
@@ -49,6 +55,11 @@ NOTATIONS = tuple(
 
 BEGINS_UNORDERED = re.compile(rf"{WEEKDAY}{UNORDERED}\b")
 
+YEAR_LAST = re.compile(
+    rf"({WEEKDAY}[a-z]{{3,9}} +\d{{1,2}}) +(\d\d?:\d\d:\d\d\S*)( [a-z]{{3}})? (\d{{4}})"
+)
+"""A date with the year after the time of day, in small letters, as C and Unix write it: sat jan 31 11:58:00 utc 2026."""
+
 COMPACT_TIME = re.compile(r"(?:[01]\d|2[0-3])[0-5]\d[0-5]\d(?:[.,]\d+)?", re.ASCII)
 """A time such as 091500.25, which stands next to a date such as 20260131."""
 
@@ -63,6 +74,7 @@ def rewrite_date(text: str, day_first: bool | None = None) -> str:
     if parse_utc(text) is not None:
         return text
     small = re.sub("[年月]", "-", text).replace("日", " ").strip().lower()
+    small = YEAR_LAST.sub(r"\1 \4 \2\3", re.sub(" *uhr$", "", re.sub(" +", " ", small)))
     match = next((found for each in NOTATIONS if (found := each.fullmatch(small))), None)
     if match is None:
         return text
@@ -74,6 +86,7 @@ def rewrite_date(text: str, day_first: bool | None = None) -> str:
             return text
         day, month = (part["first"], part["second"])[:: 1 if day_first else -1]
     if name := part.get("name"):
+        name = GERMAN_MONTHS.get(name[:3], name)
         month = str(MONTHS.index(name[:3]) + 1) if name[:3] in MONTHS else "0"
     date = f"{year}-{part['day_of_year']}" if part.get("day_of_year") else ""
     date = date or f"{year}-{month:0>2}-{day:0>2}"
@@ -128,11 +141,15 @@ def has_no_order(text: str) -> bool:
 def rewrite_dates(form: TelemetryForm, table: TextTable) -> TextTable:
     """Return a table whose columns of times have dates in ISO 8601 only, each date and time of day joined in the column of times.
 
+    If there is no column of times, but columns of year, month, day and so on, these are joined too.
+
     Raises
     ------
     TelemetryError
         The order of day and month is neither stated nor shown by a date of the file.
     """
+    if form.time_format in ("utc", "gps", "tai", "tt"):
+        table = join_date_parts(table, form.time_column)
     cells = table.cells.copy()
     if form.date_column in table.header and form.time_column in table.header:
         dates = cells.pop(form.date_column)
@@ -140,13 +157,13 @@ def rewrite_dates(form: TelemetryForm, table: TextTable) -> TextTable:
         if all(map(is_compact_date, dates)) and all(map(is_compact_time, times)):
             times = [pad_time(time) for time in times]
         cells[form.time_column] = dates.str.strip() + " " + times
-    columns = [form.time_column] if form.time_format in ("utc", "gps", "tai") else []
+    columns = [form.time_column] if form.time_format in ("utc", "gps", "tai", "tt") else []
     if form.receive_time_column is not None and form.receive_time_format == "utc":
         columns.append(form.receive_time_column)
     for name in columns:
         texts = cells[name].tolist() if name in cells else []
-        if name == form.time_column and form.time_format != "utc":  # GPS or TAI after the date
-            texts = [text.strip().removesuffix(form.time_format.upper()).rstrip() for text in texts]
+        if name == form.time_column and form.time_format != "utc":  # GPS, TAI or TT after the date
+            texts = [strip_scale(text, form.time_format) for text in texts]
         if form.time_format != "utc" and np.isfinite([plain_number(text) for text in texts]).any():
             continue
         day_first = find_day_first(texts) if form.day_first is None else form.day_first

@@ -42,7 +42,7 @@ CLOCK_WORDS = (
     "epoch",
     "met",
 )
-CLOCK_WORDS += ("obc", "obt", "clock", "of", "part", "s", "sec", "second", "seconds", "t")
+CLOCK_WORDS += ("obc", "obt", "clock", "of", "part", "s", "sec", "second", "seconds", "t", "tv")
 """Other words in the name of such a column; with any further word it may be a duration."""
 
 FULL_SCALES = (100, 256, 1000, 65_536, 1_000_000, 2**24, 10**9, 2**32)
@@ -70,6 +70,7 @@ def find_fractions(table: TextTable, time_column: str) -> Fractions | None:
     known = {*CLOCK_WORDS, *re.findall(r"[a-z]+", time_column.lower())}
     for column in table.header:
         words = re.findall(r"[a-z]+", column.lower().translate(PLAIN_SIGNS))
+        words = [re.sub(r"^time(?=(ms|us|ns)$)", "", word) for word in words]  # TIMEUS of COSMOS
         units = [UNITS_S[word] for word in words if word in UNITS_S]
         is_fraction = any(word in FRACTION_WORDS for word in words)
         others = {word for word in words if word not in UNITS_S} - {*FRACTION_WORDS} - known

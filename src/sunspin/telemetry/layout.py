@@ -19,8 +19,14 @@ from sunspin.telemetry.timescales import UNIX_ZERO
 VALUE_NAMES = ("value", "_value", "val", "metric_value")
 """Names of the column with the values in files of one value a row, in small letters: Grafana, InfluxDB, JSON lines."""
 
+ENGINEERING_NAMES = ("eng value", "eng_value", "engineering value", "engvalue", "calibrated value")
+"""Names of that column next to one of raw values, in small letters."""
+
 SERIES_NAMES = ("series", "metric", "name", "_field", "field", "parameter", "mnemonic", "channel")
 """Names of the column that says what each value is, in small letters; used where no cell has a name of the vehicle file."""
+
+PART_NAMES = ("parameter name", "parameter_name", "metric name", "metric_name", "panel", "face")
+"""Names of such columns that are used if there is none of `SERIES_NAMES`, or in addition if its names are not enough."""
 
 
 class Samples(NamedTuple):
@@ -34,8 +40,10 @@ def pivot_series(table: TextTable, time_column: str, names: set[str]) -> Samples
     """Return a table of one value a row as a table with a row for each time, in order, and a column for each series.
 
     Each row of such a file has a time, a value and the name of its series, such as "P1_W". The value is in the one column with a
-    name of `VALUE_NAMES`. The name is in the column whose cells are most often one of `names`, else in one called as in
-    `SERIES_NAMES`. Other columns are dropped. A cell is empty if its series has no value at that time.
+    name of `VALUE_NAMES`, else of `ENGINEERING_NAMES`, else in the only one next to the time and a name of the series. The name
+    is in the column whose cells are most often one of `names`, else in one called as in `SERIES_NAMES` or `PART_NAMES`. If it
+    has two values at a time, the column of `PART_NAMES` is put before it, as in "xp.current_mA". Other columns are dropped.
+    A cell is empty if its series has no value at that time.
 
     `names`: the columns that the vehicle file reads, empty if there is none. The table is returned unchanged if its header has one
     of them, or if it lacks the time, the value (or has several) or the name.
@@ -45,7 +53,13 @@ def pivot_series(table: TextTable, time_column: str, names: set[str]) -> Samples
     TelemetryError
         The file has two different values of a series for one time.
     """
-    values = [name for name in table.header if name.strip().lower() in VALUE_NAMES]
+    small = {name: name.strip().lower() for name in table.header}
+    values = [name for name in small if small[name] in VALUE_NAMES]
+    values = values or [name for name in small if small[name] in ENGINEERING_NAMES]
+    if not values and len(small) == 3:
+        # time, series and a value such as current_mA
+        known = (*SERIES_NAMES, *PART_NAMES)
+        values = [name for name in small if name != time_column and small[name] not in known]
     if names & set(table.header) or time_column not in table.header or len(values) != 1:
         return Samples(table)
     value_column = values[0]
@@ -54,10 +68,18 @@ def pivot_series(table: TextTable, time_column: str, names: set[str]) -> Samples
     wanted = {name: table.cells[name].str.strip().isin(names).sum() for name in others}
     series_column = max(wanted, key=lambda name: wanted[name], default="")
     if not wanted.get(series_column):
-        usual = [name for name in others if name.strip().lower() in SERIES_NAMES]
-        if not usual:
+        usual = [name for name in others if small[name] in SERIES_NAMES]
+        parts = [name for name in others if small[name] in PART_NAMES]
+        if not usual and not parts:
             return Samples(table)
-        series_column = usual[0]
+        series_column = (usual or parts)[0]
+        different = table.cells[[time_column, series_column, value_column]].drop_duplicates()
+        if usual and parts and different.duplicated([time_column, series_column]).any():
+            # such as panel xp and metric current_mA
+            joined = (
+                table.cells[parts[0]].str.strip() + "." + table.cells[series_column].str.strip()
+            )
+            table = table._replace(cells=table.cells.assign(**{series_column: joined}))
     times, series, cells = (
         table.cells[name].str.strip().to_numpy()
         for name in (time_column, series_column, value_column)

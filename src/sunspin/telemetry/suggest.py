@@ -10,12 +10,14 @@ from __future__ import annotations
 import json
 import re
 from collections import defaultdict
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
 from sunspin.base.tables import DECIMAL_COMMA, THOUSANDS, TextTable
 from sunspin.base.untrusted import plain_number
+from sunspin.telemetry.date_parts import join_date_parts
 from sunspin.telemetry.dates import (
     TIME_OF_DAY,
     find_day_first,
@@ -24,12 +26,18 @@ from sunspin.telemetry.dates import (
     is_compact_time,
     rewrite_date,
 )
-from sunspin.telemetry.fractions import FRACTION_WORDS, PLAIN_SIGNS, UNITS_S, find_fractions
+from sunspin.telemetry.fractions import (
+    CLOCK_WORDS,
+    FRACTION_WORDS,
+    PLAIN_SIGNS,
+    UNITS_S,
+    find_fractions,
+)
 from sunspin.telemetry.layout import pivot_series
 from sunspin.telemetry.noise import find_wrapped_counts
 from sunspin.telemetry.sensors import read_numbers
-from sunspin.telemetry.times import parse_utc, zone_of_name
-from sunspin.telemetry.timescales import WEEK_S, WEEKS_TO_ROLLOVER
+from sunspin.telemetry.times import advise_on_time, parse_utc, strip_scale, zone_of_name
+from sunspin.telemetry.timescales import J2000_UTC, WEEK_S, WEEKS_TO_ROLLOVER
 
 PLUS = ("+", "p", "pos", "plus", "positive")
 """Words for the plus side of an axis; the other signs of `FACE` are those of its minus side."""
@@ -64,15 +72,24 @@ UNIT_WORD = re.compile(r"(?P<prefix>milli|micro|)(?:(?P<A>amp(?:[eè]re)?s?)|(?P
 """A unit of currents or powers as a word, in small letters."""
 
 WORDS = {
-    "current_A": ("i", "cur", "curr", "current", "currents", "amp", "amps", "isol"),
-    "power_W": ("p", "pwr", "power", "watt", "watts"),
+    "current_A": (
+        *("i", "cur", "curr", "current", "currents", "amp", "amps", "isol"),
+        *("strom", "solarstrom", "panelstrom", "courant", "corriente", "corrente"),
+    ),
+    "power_W": (
+        *("p", "pwr", "power", "watt", "watts"),
+        *("leistung", "solarleistung", "puissance", "potencia", "potenza"),
+    ),
     "": (
+        *("spannung", "tension", "tensi", "tensione", "voltaje", "temperatur", "temperatura"),
         *("v", "u", "volt", "volts", "voltage", "voltages", "vsol", "mv"),
         *("t", "tmp", "temp", "temps", "temperature", "degc", "c", "k"),
         *("b", "mag", "magnetometer", "field", "gyro", "w", "omega", "rate", "wheel", "rpm", "q"),
     ),
 }
-"""Words in the name of a column -> its quantity; empty for readings that are not of panels' currents or powers."""
+"""Words in the name of a column -> its quantity; empty for readings that are not of panels' currents or powers.
+
+German, French, Spanish and Italian ones too: "tensi" begins the word with an accent."""
 
 ANGLE_WORDS = {
     "elevation_deg": ("el", "elev", "elevation", "elevations", "altitude"),
@@ -97,24 +114,45 @@ MILLI = 30.0
 """A reading without a unit above this is in thousandths: no single panel gives 30 A or 30 W."""
 
 TIME_WORDS = ("time", "timestamp", "date", "datetime", "utc", "unix", "epoch", "uptime", "ts", "t")
-TIME_WORDS += ("met", "obt", "sclk", "scet", "mjd", "cuc", "tai", "gpst", "j2000")
+TIME_WORDS += ("stamp", "met", "obt", "sclk", "scet", "mjd", "jd", "julian")
+TIME_WORDS += ("cuc", "tai", "gpst", "j2000")
 """Words in the name of a time column, the likeliest first."""
+
+SECOND_WORDS = ("s", "sec", "secs", "second", "seconds", "coarse", "tv")
+"""Words in the name of a column of whole seconds, whose fractions may have a column of their own."""
+
+LONGEST_S = 1e8
+"""Numbers of seconds above this (three years) are times and no durations."""
 
 BOARD_CLOCKS = ("obt", "sclk", "scet", "met", "spacecraft", "sc", "onboard")
 """Words in the name of a time column of a clock on board, whose time zero the mission sets."""
 
+TIME_SCALES = {"gps": "gps", "gpst": "gps", "tai": "tai", "tt": "tt", "tdb": "tt"}
+"""Words in the name of a time column -> the `time_format` of its time scale."""
+
 YEAR_S = 365.25 * 86_400.0
 
-J2000_UTC = "2000-01-01T11:58:55.816Z"
-"""The epoch J2000: 12:00 TT, 32.184 s ahead of TAI, which was 32 s ahead of UTC."""
+TT_1970_UTC = "1969-12-31T23:59:17.816Z"
+"""1 January 1970, 00:00 TT, 42.184 s ahead of UTC as of 1972."""
+
+CUC_EPOCHS = {
+    1958: 'time_format = "tai"',
+    1970: 'time_format = "unix"',
+    1980: 'time_format = "gps"',
+    2000: 'time_format = "elapsed"',
+}
+"""Years from which CUC counts seconds -> the entry that reads them."""
+
+FIRST_YEAR, LAST_YEAR = 2000, 2032
+"""Years of telemetry in files whose epoch is not known."""
 
 LAST_GPS_S = 1.6e9
 """Largest number of a clock on board that may be GPS seconds, then in 2030; as Unix time it is of 2020."""
 
-FIRST_CUC_S = 1.7e9
-"""CUC seconds from here on are taken as TAI from 1958, then in 2011; fewer ones count from another epoch or are of old missions."""
+FIRST_JD, LAST_JD = 2_440_000.0, 2_470_000.0
+"""Days of the Julian Date from 1968 to 2050."""
 
-DAY_COUNTS = ("jd", "julian", "datenum")
+DAY_COUNTS = ("datenum",)
 """Words in the name of a column of days from an instant before the calendar of `epoch_utc`."""
 
 YEAR_WORDS = ("year", "years", "yr", "doy")
@@ -137,8 +175,11 @@ EXTREME_WORDS = ("min", "minimum", "max", "maximum", "std", "stddev", "sigma")
 """Words in the name of a column of other statistics than the mean of an interval."""
 
 SENSOR_WORDS = {
-    "gyro": ("gyro", "gyr", "gyros", "gyroscope", "omega", "rate", "rates"),
-    "magnetometer": ("mag", "magn", "magnetometer", "mtm", "mgm", "field"),
+    "gyro": (
+        *("gyro", "gyr", "gyros", "gyroscope", "omega", "rate", "rates"),
+        *("drehrate", "drehraten", "gyroskop", "kreisel"),
+    ),
+    "magnetometer": ("mag", "magn", "magnetometer", "mtm", "mgm", "field", "magnetfeld"),
 }
 """Table of the vehicle file -> words in the names of the columns of that sensor."""
 
@@ -253,7 +294,7 @@ def suggest_section(table: TextTable, panels: dict[str, str] | None = None) -> S
     """
     if (time := _find_times(table)) is None:
         return None
-    table = pivot_series(table, time.column, set()).table
+    table = _name_units(table, pivot_series(table, time.column, set()).table)
     if (group := _best_group(table)) is None:
         return None
     wraps_at = find_wrapped_counts(read_numbers(table, list(group.columns.values())))
@@ -305,6 +346,15 @@ def suggest_section(table: TextTable, panels: dict[str, str] | None = None) -> S
     return Suggestion(section, group.columns, largest, sensors, notes)
 
 
+def _name_units(table: TextTable, pivoted: TextTable) -> TextTable:
+    """Return a pivoted table with the unit of the column that had the values in `table`, if its name has one."""
+    dropped = [name for name in table.header if name not in pivoted.header]
+    units = {unit for name in dropped if (unit := _unit_of(table, name)[1]) in UNITS}
+    if len(units) != 1:
+        return pivoted
+    return pivoted._replace(units=dict.fromkeys(pivoted.header, units.pop()))
+
+
 def explain_missing(table: TextTable) -> tuple[str, str]:
     """Return in words why no section is suggested for a table (times, panels or numbers are missing), and what to do."""
     has_times = _find_times(table) is not None
@@ -313,7 +363,10 @@ def explain_missing(table: TextTable) -> tuple[str, str]:
             cell := _unreadable_cell(table, column)
         ):
             what = f"column {column!r} may be of a panel, but its cells are not numbers, such as {cell[:30]!r}"
-            return what, "write plain decimals, such as -1.5e-3"
+            do = "write plain decimals, such as -1.5e-3"
+            if re.match(r"\s*[-+]?[\d.,]+\s*(?!x)[^\W\d]", cell):
+                do = "export raw values without units (in Grafana without `Formatted data`), such as 0.412"
+            return what, do
     for column in table.header if has_times else []:
         name, unit = _unit_of(table, column)
         has_formula = re.search(r"\d|count|lsb", unit) is not None
@@ -323,13 +376,16 @@ def explain_missing(table: TextTable) -> tuple[str, str]:
     for column in [] if has_times else table.header:
         if _words_of(_words(column)) & {*DAY_COUNTS}:
             what = f"column {column!r} may hold days from long before our era, which are not read"
-            return what, "write dates such as 2026-01-31T23:59:59Z, or days as MJD: JD - 2400000.5"
+            return (
+                what,
+                "write dates such as 2026-01-31T23:59:59Z, or days as MJD: datenum - 678942",
+            )
         is_named = bool(_words_of(_words(column)) & set(TIME_WORDS))
         if is_named and (cell := _unreadable_cell(table, column)):
             what = (
                 f"column {column!r} may hold times, but they cannot be read, such as {cell[:40]!r}"
             )
-            return what, "write them as 2026-01-31T23:59:59Z"
+            return what, advise_on_time(cell) or "write them as 2026-01-31T23:59:59Z"
     times = "" if has_times else "times"
     panels = "" if _best_group(table) else "currents or powers of panels on two faces"
     do = (
@@ -597,10 +653,9 @@ def _find_times(table: TextTable) -> _Times | None:
         words = set(named)
         by_name = [k for k, word in enumerate(TIME_WORDS) if word in words]
         cells = table.cells[column].tolist()
-        scale = next((scale for scale in ("gps", "tai") if scale in words), "")
-        scale = "gps" if "gpst" in words else scale
+        scale = next((TIME_SCALES[word] for word in named if word in TIME_SCALES), "")
         if scale:  # which may also stand after each date
-            cells = [cell.strip().removesuffix(scale.upper()).rstrip() for cell in cells]
+            cells = [strip_scale(cell, scale) for cell in cells]
         lines = _describe_times(cells, named)
         # 20260131 may be a number if no times of day stand next to it
         is_bare = all(map(is_compact_date, cells)) and _clock_column(table, column) is None
@@ -609,9 +664,18 @@ def _find_times(table: TextTable) -> _Times | None:
             has_zone = any(
                 re.search(r"(Z|[+-]\d\d:?\d\d)$", rewrite_date(cell)) for cell in cells[:1]
             )
-            if scale and "elapsed" not in lines[0] and not (is_date and has_zone):
-                stated = f'time_format = "{scale}"'
-                lines = [_entry(stated, "by the name of the column; check this"), *lines[1:]]
+            how = "by the name of the column; check this"
+            is_unix = lines[0].startswith('time_format = "unix"')
+            if is_unix and not scale and "gps" in _file_words(table) and _may_be_gps(cells, words):
+                scale, how = "gps", "by the name of the file; check this"
+                note = '# check time_format: "gps" by the name of the file; as "unix" the times are ten years earlier'
+                lines = [*lines, note]
+            if scale and is_date and has_zone:
+                named_scale = next(word for word in named if word in TIME_SCALES).upper()
+                note = f"# check time_format: the name of the column says {named_scale}, and the dates UTC, by which they are read"
+                lines = [*lines, note]
+            elif scale and is_date or (is_unix and scale in ("gps", "tai")):
+                lines = [_entry(f'time_format = "{scale}"', how), *lines[1:]]
             zone = zone_of_name(column) if is_date and not has_zone and not scale else None
             if zone is not None:
                 stated = f'time_zone = "{zone}"'
@@ -623,6 +687,12 @@ def _find_times(table: TextTable) -> _Times | None:
     rank, *_, column, lines = min(ranked, default=(3, "", []))
     if (not lines or "elapsed" in lines[0]) and (gps := _gps_weeks(table)) is not None:
         return gps
+    # a name that no column has
+    name = "time" if "time" not in table.header else "date_time"
+    joined = join_date_parts(table, name) if not lines or "elapsed" in lines[0] else table
+    if name in joined.header and (times := _find_times(joined)) is not None:
+        parts = tuple(column for column in table.header if column not in joined.header)
+        return times._replace(others=(*times.others, *parts))
     if not ranked:
         return None
     others: tuple[str, ...] = ()
@@ -631,16 +701,22 @@ def _find_times(table: TextTable) -> _Times | None:
         column, others = clock, (column,)
         if (zone := zone_of_name(clock)) is not None and not any("time_zone =" in x for x in lines):
             lines.append(_entry(f'time_zone = "{zone}"', "by the name of the column; check this"))
-    scaled = any("time_scale_s" in line for line in lines)
-    if not scaled and (fractions := find_fractions(table, column)) is not None:
-        how = "by the name of the column" if fractions.by_name else "check this: by the size"
-        lines = [
-            *lines,
-            _entry(f"fraction_column = {toml_string(fractions.column)}", "fractions of a second"),
-            _entry(f"fraction_unit_s = {fractions.unit_s:.9g}", how),
-        ]
-        others = (*others, fractions.column)
+    if not any("time_scale_s" in line for line in lines):
+        fraction_lines, names = _describe_fractions(table, column)
+        lines, others = [*lines, *fraction_lines], (*others, *names)
     return _Times(column, lines, others)
+
+
+def _file_words(table: TextTable) -> set[str]:
+    """Return the words in the name of a table's file."""
+    return _words_of(_words(Path(table.where).stem))
+
+
+def _may_be_gps(cells: list[str], words: set[str]) -> bool:
+    """Return whether numbers in a column, with these words in its name, may be GPS seconds: as Unix times they are old."""
+    numbers = np.array([plain_number(cell) for cell in cells])
+    typical_s = float(np.nanmedian(numbers)) if np.isfinite(numbers).any() else 0.0
+    return FIRST_UNIX_S < typical_s < LAST_GPS_S and not words & {"unix", "utc"}
 
 
 def _gps_weeks(table: TextTable) -> _Times | None:
@@ -663,7 +739,22 @@ def _gps_weeks(table: TextTable) -> _Times | None:
         lines.append(_entry("time_scale_s = 0.001", "ms, by the size"))
     if np.nanmax(weeks, initial=0.0) < WEEKS_TO_ROLLOVER:
         lines.append(_entry("gps_rollovers = 2", "check this: how often the weeks began again"))
+    if np.nanmax(seconds, initial=0.0) <= WEEK_S:
+        fraction_lines, others = _describe_fractions(table, found["seconds"])
+        return _Times(found["seconds"], [*lines, *fraction_lines], (found["week"], *others))
     return _Times(found["seconds"], lines, (found["week"],))
+
+
+def _describe_fractions(table: TextTable, column: str) -> tuple[list[str], tuple[str, ...]]:
+    """Return the lines for a column of fractions of the whole seconds in `column`, and its name; both empty if there is none."""
+    if (fractions := find_fractions(table, column)) is None:
+        return [], ()
+    how = "by the name of the column" if fractions.by_name else "check this: by the size"
+    lines = [
+        _entry(f"fraction_column = {toml_string(fractions.column)}", "fractions of a second"),
+        _entry(f"fraction_unit_s = {fractions.unit_s:.9g}", how),
+    ]
+    return lines, (fractions.column,)
 
 
 def _clock_column(table: TextTable, date_column: str) -> str | None:
@@ -686,7 +777,10 @@ def _clock_column(table: TextTable, date_column: str) -> str | None:
 def _time_words(column: str) -> list[str]:
     """Return the words in the name of a column of times, in small letters; seconds from J2000 have the word "j2000" last."""
     name = _words(column).translate(PLAIN_SIGNS)
-    is_j2000 = re.search(r"(?<![a-z])(j ?2000|j2k|tdb)(?![a-z0-9])", name) is not None
+    name = re.sub(r"(?<![a-z])time(sec|secs|seconds|ms|us|ns)(?![a-z])", r"time \1", name)  # COSMOS
+    is_j2000 = re.search(r"(?<![a-z])(j ?2000|j2k|tdb|tt)(?![a-z0-9])", name) is not None
+    # ephemeris time of SPICE; in other names "et" may be a French word
+    is_j2000 |= re.fullmatch(r"(time )?et( time)?( [\[(]?s[\])]?)?", name) is not None
     return [*re.findall(r"[a-z]+", name), *(["j2000"] if is_j2000 else [])]
 
 
@@ -711,7 +805,13 @@ def _describe_times(cells: list[str], named: list[str]) -> list[str] | None:
         return lines
     numbers = np.array([plain_number(cell) for cell in filled])
     known = numbers[np.isfinite(numbers)]
-    if not words & {*TIME_WORDS} or words & {*YEAR_WORDS} or len(known) < READ_SHARE * len(filled):
+    if len(known) < READ_SHARE * len(filled):
+        return None
+    # such as obc_seconds and tv_sec, but no durations: these are smaller than dates
+    in_seconds = bool(words & {*SECOND_WORDS}) and words <= {*SECOND_WORDS, *CLOCK_WORDS}
+    in_seconds = in_seconds and LONGEST_S < float(np.median(known)) < LAST_UNIX_S
+    is_named = bool(words & {*TIME_WORDS}) or in_seconds
+    if not is_named or words & {*YEAR_WORDS}:
         return None
     return _describe_counts(known, named)
 
@@ -731,6 +831,21 @@ def _describe_counts(known: np.ndarray, named: list[str]) -> list[str]:
     named_s = units_s[-1] if units_s else None
     if named_s is not None and named_s > 1 and named_s * usual_step > MOST_DAYS * 86_400:
         named_s = None
+    may_be_days = in_days and named_s is None
+    if FIRST_JD < typical < LAST_JD and ("jd" in words or "julian" in words or may_be_days):
+        lines = [_entry('time_format = "jd"', "days of the Julian Date; check this: of UTC")]
+        if words & {"tt", "tdb", "tai"}:
+            lines.append(
+                "# check time_format: the name of the column says that the days are not of UTC, as which they are read: times are "
+                "69 s late for TT and TDB, 37 s for TAI (2017 to 2026)"
+            )
+        return lines
+    if _is_from_1970(typical, words):
+        return [
+            _entry('time_format = "elapsed"', "s of TT or TDB from 1970; check this"),
+            _entry(f'epoch_utc = "{TT_1970_UTC}"', "00:00 TT, with the leap seconds of 1972"),
+            _entry("counts_leap_seconds = true", ""),
+        ]
     if "j2000" in words:
         small = (scale for scale in (1.0, 1e-3, 1e-6, 1e-9) if typical * scale < LAST_UNIX_S)
         in_days_s = 86_400.0 if in_days and typical < LAST_DAY else None
@@ -754,6 +869,9 @@ def _describe_counts(known: np.ndarray, named: list[str]) -> list[str]:
             _entry("time_scale_s = 86400", "days"),
             _entry("counts_leap_seconds = false", ""),
         ]
+    if "cuc" in words and (lines := _describe_cuc(typical * (named_s or 1.0))):
+        scaled = [_entry(f"time_scale_s = {named_s:g}", UNIT_NAMES[named_s])] if named_s else []
+        return [*lines, *(scaled if named_s != 1 else [])]
     is_unix = typical > FIRST_UNIX_S and (named_s is None or named_s >= 1)
     for scale in (1.0, 1e-3, 1e-6, 1e-9) if is_unix or named_s is None else (named_s,):
         if FIRST_UNIX_S < typical * scale < LAST_UNIX_S:
@@ -768,26 +886,52 @@ def _describe_counts(known: np.ndarray, named: list[str]) -> list[str]:
     ]
 
 
+def _is_from_1970(typical: float, words: set[str]) -> bool:
+    """Return whether a count of TT or TDB seconds (median `typical`) begins in 1970: from J2000 it is too late."""
+    is_too_late = 2000 + typical / YEAR_S > LAST_YEAR and 1970 + typical / YEAR_S <= LAST_YEAR
+    return bool(words & {"tt", "tdb", "et"}) and is_too_late
+
+
+def _describe_cuc(typical_s: float) -> list[str]:
+    """Return the lines for a CUC count whose median is `typical_s`, s; empty if no usual epoch gives a year of such telemetry.
+
+    CCSDS 301.0-B recommends 1958; missions set others. Of several epochs the one with the latest year is taken.
+    """
+    years = {epoch: epoch + int(typical_s / YEAR_S) for epoch in CUC_EPOCHS}
+    likely = [epoch for epoch, year in years.items() if FIRST_YEAR <= year <= LAST_YEAR]
+    if not likely or typical_s < LONGEST_S:
+        return []
+    epoch = likely[-1]
+    lines = [_entry(CUC_EPOCHS[epoch], f"CUC counted from {epoch}, by the year that it gives")]
+    if epoch == 2000:
+        lines.append(_entry('epoch_utc = "2000-01-01T00:00:00Z"', ""))
+    others = [
+        f"{other} ({CUC_EPOCHS[other].split(' = ')[1]}: {years[other]})" for other in likely[:-1]
+    ]
+    others_text = f", from {' or '.join(others)}" if others else ""
+    lines.append(
+        f"# check time_format: as CUC from {epoch} the times are of {years[epoch]}; the mission may count from another "
+        f"epoch{others_text}"
+    )
+    return lines
+
+
 def _describe_large_count(typical_s: float, unit: str, words: set[str]) -> list[str]:
     """Return the lines for a column of times that are as large as Unix times, with a remark if the clock may be another one.
 
     `typical_s`: their median in s; `unit`: that of the column in words; `words`: those of its name.
     """
-    if "cuc" in words and typical_s >= FIRST_CUC_S:
-        year = 1958 + int(typical_s / YEAR_S)
-        return [
-            _entry('time_format = "tai"', f"{unit} from 1958, as CCSDS 301.0-B recommends"),
-            f"# check time_format: as CUC from 1958 the times are of {year}; the mission may count from another epoch, such as "
-            f'1970 ("unix": {year + 12}) or 1980 ("gps": {year + 22})',
-        ]
-    if "cuc" in words:
-        replace = "REPLACE by the UTC of time zero, which the mission sets"
-        return [
-            _entry('time_format = "elapsed"', "CUC, too early for a count from 1958"),
-            _entry('epoch_utc = "2000-01-01T00:00:00Z"', replace),
-        ]
-    lines = [_entry('time_format = "unix"', f"{unit} since 1970")]
     year = 1970 + int(typical_s / YEAR_S)
+    lines = [_entry('time_format = "unix"', f"{unit} since 1970: {year}")]
+    if "tai" in words and year <= LAST_YEAR:
+        lines.append(
+            f"# check time_format: as TAI from 1958 the times are of {year - 12}; for TAI from 1970 ({year}) set "
+            'time_format = "elapsed", epoch_utc = "1969-12-31T23:59:50Z" and counts_leap_seconds = true'
+        )
+    elif words & {"gps", "gpst"} and year + 10 > LAST_YEAR:
+        lines.append(
+            f'# check time_format: as GPS seconds the times are of {year + 10}, as Unix times ("unix") of {year}'
+        )
     if words & {"gps", "gpst", "tai", "unix", "utc"}:
         return lines
     if typical_s > LAST_CLOCK_S:

@@ -27,8 +27,10 @@ from sunspin.telemetry.restarts import (
 )
 from sunspin.telemetry.timescales import (
     GPS_ZERO_S,
+    J2000_UTC,
     TAI_AHEAD_OF_GPS_S,
     TAI_ZERO_S,
+    TT_AHEAD_OF_TAI_S,
     UNIX_ZERO,
     WEEK_S,
     WEEKS_TO_ROLLOVER,
@@ -43,6 +45,9 @@ LATEST_UNIX_S = 1e11
 
 DAY_S = 86_400.0
 
+UNIX_ZERO_JD = 2_440_587.5
+"""Julian Date of 1 January 1970."""
+
 DECADES_S = 5 * 365.25 * DAY_S
 """Rows more than five years from all others were dated by a clock that was reset: no mission pauses for so long."""
 
@@ -55,8 +60,11 @@ SAME_WEEK_S = 6 * 3600.0
 MANY_MISDATED = 0.2
 """A group of rows with more than this share of the file is not a few damaged dates."""
 
-OVERFLOWS = (2**16, 2**24, 2**31, 2**32)
+OVERFLOWS = tuple(2**bits for bits in range(8, 33))
 """Counts after which a counter of elapsed time begins again at zero."""
+
+SURE_OVERFLOW = 2**16
+"""Smaller counts are taken as overflows only if there are two: a clock that was reset may have stood near one of them."""
 
 OVERFLOW_INTERVALS = 3.0
 """A counter has overflowed if with the added counts the row follows the one before within so many usual intervals."""
@@ -116,6 +124,12 @@ def _to_iso(text: str) -> str | None:
     except (ValueError, OverflowError):  # no such year or day
         return None
     return text
+
+
+def strip_scale(text: str, time_format: str) -> str:
+    """Return a date without the name of its time scale after it; TDB is read as TT."""
+    text = text.strip().removesuffix("TDB" if time_format == "tt" else "").rstrip()
+    return text.removesuffix(time_format.upper()).rstrip()
 
 
 def zone_of_name(name: str) -> str | None:
@@ -251,6 +265,17 @@ def _read_unix(form: TelemetryForm, table: TextTable) -> tuple[np.ndarray, list[
     return _read_seconds(form, table, "Unix seconds"), []
 
 
+def _read_julian_dates(form: TelemetryForm, table: TextTable) -> np.ndarray:
+    """Read Julian Dates of UTC as s from 1970 (n), to 0.1 ms."""
+    days = np.array([plain_number(cell) for cell in table.cells[form.time_column]])
+    seconds = (days - UNIX_ZERO_JD) * DAY_S
+    if (bad := ~(np.abs(seconds) <= LATEST_UNIX_S)).any():
+        what = "Julian Dates are expected, such as 2461072.5"
+        do = "correct it, or set time_format under [telemetry] in the vehicle file"
+        raise _cell_error(table, form.time_column, int(bad.argmax()), what, do)
+    return np.round(seconds, 4)
+
+
 def _read_elapsed(
     form: TelemetryForm,
     table: TextTable,
@@ -304,8 +329,9 @@ def _unwrap_uptime(
         full_s = count * form.time_scale_s
         new_steps = steps + full_s
         over = (new_steps > max(shortest_s, 0.0)) & (new_steps <= longest_s)
+        is_sure = over.sum() > (0 if count >= SURE_OVERFLOW else 1)
         # the rest must be in order: the counter would not fall otherwise
-        if over.any() and (steps[~over] >= 0).all() and uptime.min() >= 0 and uptime.max() < full_s:
+        if is_sure and (steps[~over] >= 0).all() and uptime.min() >= 0 and uptime.max() < full_s:
             added = full_s * np.cumsum(np.concatenate([[0], over]))
             at = table.row_place(int(over.argmax()) + 1)
             times = "" if over.sum() == 1 else f", {over.sum()} times in all"
@@ -449,6 +475,8 @@ def _read_calendar(
     else:
         if form.time_format == "unix":
             seconds, notes = _read_unix(form, table)
+        elif form.time_format == "jd":
+            seconds, notes = _read_julian_dates(form, table), []
         else:
             seconds, notes = _read_atomic(form, table), []
         epoch = fixed or UNIX_ZERO + timedelta(seconds=float(seconds[0]))
@@ -640,24 +668,30 @@ def _decide_double_hours(
 
 
 def _read_atomic(form: TelemetryForm, table: TextTable) -> np.ndarray:
-    """Read GPS time or TAI as UTC (n) in s from 1970.
+    """Read GPS time, TAI or TT as UTC (n) in s from 1970.
 
-    Cells are seconds, or seconds of the week with a column of GPS weeks, or dates in that time scale.
+    Cells are seconds, or seconds of the week with a column of GPS weeks, or dates in that time scale; of TT dates only.
     """
-    is_gps = form.time_format == "gps"
-    scale, ahead_s = ("GPS", TAI_AHEAD_OF_GPS_S) if is_gps else ("TAI", 0.0)
+    scale = form.time_format.upper()
+    ahead_s = {"GPS": TAI_AHEAD_OF_GPS_S, "TAI": 0.0, "TT": -TT_AHEAD_OF_TAI_S}[
+        scale
+    ]  # TAI - scale
     cells = table.cells[form.time_column].tolist()
-    cells = [cell.strip().removesuffix(scale).rstrip() for cell in cells]
-    if form.week_column is None and not np.isfinite([plain_number(cell) for cell in cells]).any():
+    cells = [strip_scale(cell, form.time_format) for cell in cells]
+    has_numbers = bool(np.isfinite([plain_number(cell) for cell in cells]).any())
+    if form.week_column is None and (scale == "TT" or not has_numbers):
         moments = [parse_utc(cell) for cell in cells]
         for i, (cell, moment) in enumerate(zip(cells, moments, strict=True)):
             if moment is None or _kind_of_zone(cell) is not None:
                 what = f"{scale} seconds are expected, or a date in {scale} time without a zone"
                 do = 'correct it, or set time_format = "utc" under [telemetry]'
+                if scale == "TT":
+                    what = "a date in TT without a zone is expected"
+                    do = f'correct it, or for seconds set time_format = "elapsed" and epoch_utc = "{J2000_UTC}"'
                 raise _cell_error(table, form.time_column, i, what, do)
         return utc_of_tai(np.array([_unix(moment) for moment in moments if moment]) + ahead_s)
     seconds = _read_seconds(form, table, f"{scale} seconds")
-    if not is_gps:
+    if scale == "TAI":
         return utc_of_tai(seconds + TAI_ZERO_S)
     return utc_of_tai(_add_gps_weeks(form, table, seconds) + GPS_ZERO_S + ahead_s)
 
@@ -760,17 +794,26 @@ def _advise_on_cell(cell: str) -> str:
     size = abs(plain_number(cell))
     if size > LATEST_UNIX_S:
         return 'if it is Unix time in ms, us or ns, set time_format = "unix" under [telemetry]'
+    if abs(size - UNIX_ZERO_JD) < 40_000:
+        return (
+            'if it is a Julian Date, set time_format = "jd" under [telemetry] in the vehicle file'
+        )
     if np.isfinite(size):
         return (
             'if it is in seconds, set time_format = "unix" (since 1970), "gps", "tai" or "elapsed" under [telemetry] in the '
             "vehicle file"
         )
+    return advise_on_time(cell) or (
+        "write it as 2026-01-31T23:59:59Z, or set time_format under [telemetry] in the vehicle file"
+    )
+
+
+def advise_on_time(cell: str) -> str:
+    """Return advice on a text that looks like a time but is none; empty if there is none."""
     if re.search(r":\d\d:60(?!\d)", cell):
         return "leap seconds are not known: write the second before or after, or remove the row"
     if re.fullmatch(r"\d{1,2}:\d\d\.\d", cell.strip()):
         return "a spreadsheet left minutes and seconds of it: export dates as text, or as yyyy-mm-dd hh:mm:ss.000"
     if re.fullmatch(r"\d{1,2}:\d\d(:\d\d\S*)?", cell.strip()):
         return "name the column of dates as date_column under [telemetry]"
-    return (
-        "write it as 2026-01-31T23:59:59Z, or set time_format under [telemetry] in the vehicle file"
-    )
+    return ""

@@ -15,6 +15,12 @@ GPS_ZERO_S = (datetime(1980, 1, 6, tzinfo=UTC) - UNIX_ZERO).total_seconds()
 TAI_AHEAD_OF_GPS_S = 19.0
 """TAI minus GPS time, which is constant."""
 
+TT_AHEAD_OF_TAI_S = 32.184
+"""TT minus TAI, which is constant; TDB differs from TT by less than 2 ms (IAU 2006 resolution B3)."""
+
+J2000_UTC = "2000-01-01T11:58:55.816Z"
+"""The epoch J2000: 12:00 TT, 32.184 s ahead of TAI, which was 32 s ahead of UTC."""
+
 TAI_ZERO_S = (datetime(1958, 1, 1, tzinfo=UTC) - UNIX_ZERO).total_seconds()
 """Epoch of a count of TAI seconds, 1 January 1958 (CCSDS 301.0-B), in s from 1970."""
 

@@ -105,7 +105,7 @@ class TelemetryForm(Part):
         "power_W"
     )
     time_column: Name = "time"
-    time_format: Literal["utc", "unix", "gps", "tai", "elapsed"] = "utc"
+    time_format: Literal["utc", "unix", "gps", "tai", "tt", "jd", "elapsed"] = "utc"
     epoch_utc: str | None = None
     columns: Text = field(default_factory=no_entries)
     scale: Positive = 1.0
@@ -176,7 +176,7 @@ class TelemetryForm(Part):
             if getattr(self, key) is not None and self.time_format != needed:
                 what = f'telemetry.{key} needs time_format = "{needed}"'
                 raise VehicleError(what, got=self.time_format, do="set it, or leave the key out")
-        if self.date_column is not None and self.time_format not in ("utc", "gps", "tai"):
+        if self.date_column is not None and self.time_format not in ("utc", "gps", "tai", "tt"):
             what = "telemetry.date_column needs times of day in the time column"
             do = 'set time_format = "utc", or leave the key out'
             raise VehicleError(what, got=self.time_format, do=do)
