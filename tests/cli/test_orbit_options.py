@@ -100,3 +100,14 @@ def test_rates_with_an_orbit_hold_its_positions_for_pointing(satellite, monkeypa
     np.testing.assert_allclose(speed, np.sqrt(3.986e14 / radius), rtol=0.01)
     done = CliRunner().invoke(cli, ["pointing", "rates"])
     assert done.exit_code == 0 and "no magnetometer was used" in done.output, done.output
+
+
+def test_rates_along_elements_whose_field_and_sun_disagree_are_not_decided(satellite, monkeypatch):
+    """Axes of a magnetometer turned by 90 degrees: 4 of 6 passes of a spinner were decided, 10 sigma off."""
+    from sunspin.output.check import orbit
+
+    disagree = orbit.ChosenOrbit(None, None, {}, ["FIELD AND SUN DISAGREE"], True)
+    monkeypatch.setattr(orbit, "choose_orbit", lambda *_: disagree)
+    words = ["rates", "vehicle.toml", "telemetry.csv", "--json", "--quiet", "--workers", "1"]
+    (only,) = json.loads(CliRunner().invoke(cli, words).stdout)["passes"]
+    assert not only["decided"] and "field and Sun disagree" in only["why_not_decided"]

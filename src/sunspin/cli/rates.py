@@ -204,6 +204,10 @@ def rates(
             workers=worker_count(workers),
             **also_given,
         )
+    if chosen_orbit.field_and_sun_disagree:
+        from sunspin.estimate.columns import undecided
+
+        result = undecided(result, "field and Sun disagree")
     # imported late, because the imports take a third of a second, most of it that of the orbit at the samples
     from sunspin.output.check.repeats import describe_repeats
     from sunspin.output.check.samples import describe_mismatches, unknown_gain_lines

@@ -139,7 +139,7 @@ def check_columns(
             result = _with_field_compared(result, observed, telemetry, estimators)
     if contradicted and "columns_doubt" not in result.attrs:
         advice = "" if again is not None else f": {TRY_COLUMNS}"
-        result = _undecided(result, SAMPLES_CONTRADICT)
+        result = undecided(result, SAMPLES_CONTRADICT)
         result = result.assign_attrs(columns_doubt=SAMPLES_CONTRADICT + advice)
     if others_tried or tests_budget.cut:
         result = result.assign_attrs(column_tests_cut=int(tests_budget.cut))
@@ -309,10 +309,10 @@ def _with_cause(
     if better is None:
         return result
     if isinstance(better, BetterChanges):
-        return _with_named_changes(_undecided(result, "columns, signs or axes"), better)
+        return _with_named_changes(undecided(result, "columns, signs or axes"), better)
     # the sensor acts in all passes: of a spinner whose magnetometer was read along other axes two of four passes fitted, far from
     # the truth
-    doubted = _undecided(result, f"the {better.sensor} contradicts the other readings")
+    doubted = undecided(result, f"the {better.sensor} contradicts the other readings")
     return doubted.assign_attrs(columns_doubt=better.words())
 
 
@@ -366,7 +366,7 @@ def _with_rivals(
         best = accusing[0]
         near_best = [rival for rival in accusing if rival.gain > best.gain - CLEARLY]
         changes = tuple(change for rival in near_best for change in rival.changes)
-        result = _undecided(result, "columns, signs or axes")
+        result = undecided(result, "columns, signs or axes")
         return _with_named_changes(result, replace(best, changes=changes))
 
     # 2. Rivals are as probable. Only those with another rate count: if the rates are the same, the result is right with either.
@@ -381,7 +381,7 @@ def _with_rivals(
         what = " or with ".join(names[:MOST_NAMED])
         words = f"the data fit as well with {what}: find out which columns are right"
         reason = f"other columns fit as well (with {what})"
-        return _undecided(result, reason, COLUMNS_UNCHECKED).assign_attrs(columns_doubt=words)
+        return undecided(result, reason, COLUMNS_UNCHECKED).assign_attrs(columns_doubt=words)
 
     # 3. The data do not exclude rivals.
     not_excluded = [rival for rival in others if rival.gain > -EXCLUDED]
@@ -476,7 +476,7 @@ def _with_doubted_wheels(
     """
     if doubt is None:
         return result
-    result = _undecided(result, "the sign of a wheel")
+    result = undecided(result, "the sign of a wheel")
     if "columns_doubt" in result.attrs:
         return result
     change = wheel_change(observed.vehicle, doubt.wheels)
@@ -513,7 +513,7 @@ def _with_named_changes(result: xr.Dataset, better: BetterChanges) -> xr.Dataset
     return result.assign_attrs(columns_doubt=better.words(clock), columns_changes=json.dumps(rows))
 
 
-def _undecided(result: xr.Dataset, reason: str, checked: str = COLUMNS_DOUBTED) -> xr.Dataset:
+def undecided(result: xr.Dataset, reason: str, checked: str = COLUMNS_DOUBTED) -> xr.Dataset:
     """Return the result with no pass decided, for a `reason` that holds for the whole file; `checked`: its `columns_checked`."""
     why = [join_reasons(of_pass, reason) for of_pass in result["why_not_decided"].values]
     count = result.sizes["pass_id"]

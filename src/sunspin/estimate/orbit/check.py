@@ -52,6 +52,11 @@ class Verdict(Enum):
     UNDECIDED = "inconclusive: this telemetry cannot distinguish the elements from random ones; the along-track prior is unchanged"
 
 
+LARGE_ANGLE_RAD = 0.17
+"""Median residual of the angle between field and Sun above which few samples are a warning: sound panels and a sound magnetometer
+agree to 5 degrees. Axes turned by 90 degrees gave 18 degrees in 12 samples, with consistent elements."""
+
+
 @dataclass(frozen=True)
 class OrbitCheck:
     """Result of :func:`check_orbit`.
@@ -89,6 +94,12 @@ class OrbitCheck:
     drift_sigma_s_day: float = 0.0
     fitted_sensors: Calibration | None = None
     sun_in_shadow: SunInShadow = SunInShadow()
+
+    @property
+    def field_and_sun_disagree(self) -> bool:
+        """Return whether angles between field and Sun, too few to refuse the orbit, are far off, and no other axes explain it."""
+        few = self.samples.get("field and Sun", 0) < FEWEST
+        return few and self.angle_residual_rad > LARGE_ANGLE_RAD and not self.turned_axes
 
     def start(self, orbit: Orbit) -> CalibrationStart | None:
         """Return the calibration at which a fit of all sensors along the orbit begins; None without a magnetometer."""

@@ -107,6 +107,9 @@ def judged_orbit(
         remarks = "; THE MAGNETOMETER HAS THE OPPOSITE SIGN: change the sign of `matrix` in the vehicle file"
     if check.turned_axes:
         remarks += f"; {check.turned_axes}"
+    if check.field_and_sun_disagree:
+        angle = f"{np.degrees(check.angle_residual_rad):.0f} deg"
+        remarks += f"; FIELD AND SUN DISAGREE by {angle}: look at the axes of the magnetometer and at the panels"
     if check.verdict is Verdict.UNDECIDED:
         offset = f"{orbit.shift_s:+z.0f} ± {orbit.offset_sigma_s:.0f} s along the track"
         text = (

@@ -23,22 +23,19 @@ NODE_GAIN = 1.05
 """Factor by which another node must make the residuals smaller for the check to name it."""
 
 
-LARGE_ANGLE_RAD = 0.17
-"""Median residual of the angle between field and Sun above which few samples are a warning: sound panels and a sound magnetometer
-agree to 5 degrees. Axes turned by 90 degrees gave 18 degrees in 12 samples, with consistent elements."""
-
-
 class ChosenOrbit(NamedTuple):
     """The orbit that `sunspin rates` uses.
 
     `orbit` is None if there are no elements or they do not fit the telemetry. `calibration`: of the magnetometer along the orbit,
     None without an orbit or a calibration. `summary` and `lines`: the comparison of elements and telemetry.
+    `field_and_sun_disagree`: it leaves no pass decided (:class:`OrbitCheck`).
     """
 
     orbit: Any
     calibration: Any
     summary: dict[str, Any]
     lines: list[str]
+    field_and_sun_disagree: bool = False
 
 
 def describe_orbit(
@@ -76,7 +73,7 @@ def choose_orbit(
     lines = [f"{words}; {_satellite_text(summary)}", *(f"  {note}" for note in summary["notes"])]
     if craft.input_noise is None and assessment.has_panels:
         lines += noise_lines(assessment)
-    return ChosenOrbit(used, calibration, {"orbit": summary}, lines)
+    return ChosenOrbit(used, calibration, {"orbit": summary}, lines, check.field_and_sun_disagree)
 
 
 def _satellite_text(summary: dict[str, Any]) -> str:
@@ -160,7 +157,7 @@ def _lines(summary: dict[str, Any], check: Any) -> list[str]:
         sun = f", Sun-field angle {angle:.1f} deg{remark}" if np.isfinite(angle) else ""
         strength = f"{1e6 * check.strength_residual_T:.2f} uT"
         lines.append(f"  median residuals: field magnitude {strength}{sun}")
-        if n < FEWEST and check.angle_residual_rad > LARGE_ANGLE_RAD and not check.turned_axes:
+        if check.field_and_sun_disagree:
             lines.append(
                 "  FIELD AND SUN DISAGREE: axes, matrix or zero of the magnetometer, or columns of the panels, may be wrong. The "
                 f"magnitude of the field shows none of these, and {n} samples are too few to judge: give a longer file"
