@@ -73,6 +73,20 @@ def test_passes_of_several_folders_are_in_order_of_time_with_axis_and_momentum(r
     assert np.isnan(data["momentum_J2000"]).all() and np.isnan(data.attrs["trend"])
 
 
+def test_axes_that_are_not_known_are_not_shown_and_the_momentum_has_the_error_of_the_rate(
+    result, tmp_path
+):
+    """A point with an error of hundreds of degrees is no direction."""
+    data = ss.history([save(result, tmp_path / "0", 0.0)])
+    sigma = float(data["omega_sigma_B"][0, 2])  # the body spins about z
+    np.testing.assert_allclose(data["momentum_sigma"], 0.04 * sigma, rtol=0.3)
+    vague = data.assign(spin_axis_sigma_rad=data["spin_axis_sigma_rad"] * 0 + 6.0)
+    assert "deg/s  about (" in data.sunspin.summary().lines[-1]
+    assert "deg/s  about an unknown axis" in vague.sunspin.summary().lines[-1]
+    axes = vague.sunspin.plot().axes[1]
+    assert np.isnan([line.get_ydata()[0] for line in axes.get_lines()]).all()
+
+
 def test_a_later_pass_that_was_estimated_alone_keeps_its_momentum(result, tmp_path):
     """`rates --pass 3` leaves one pass, whose number is 3 and whose place in the result is 0."""
     data = ss.history([save(result.assign_coords(pass_id=[3]), tmp_path / "alone", 0.0)])
@@ -88,7 +102,7 @@ def test_the_history_is_summarised_drawn_saved_and_shown_on_a_page(result, tmp_p
     out = tmp_path / "history"
     done = CliRunner().invoke(cli, ["history", str(tmp_path / "week"), "--out", str(out)])
     assert done.exit_code == 0, done.output
-    assert "8 passes from 2026-03-01T12:00 to 2026-03-08T12:00, 7 decided" in done.output
+    assert "8 passes from 2026-03-01T12:00 to 2026-03-08T12:00 UTC, 7 decided" in done.output
     assert "it slows down, by half in" in done.output and "not decided" in done.output
     table = pd.read_csv(out / "history.csv", comment="#")
     slope = np.polyfit(np.arange(8), table["speed_median_deg_s"], 1)[0]
