@@ -113,6 +113,14 @@ def test_the_history_is_summarised_drawn_saved_and_shown_on_a_page(result, tmp_p
     assert "a spinner" in write_report(out).read_text("utf-8")
 
 
+def test_a_trend_that_rests_on_a_gap_of_most_days_is_named(result, tmp_path):
+    for name, days in (("even", range(6)), ("apart", (0, 1, 2, 20, 21, 22))):
+        for day in days:
+            save(result, tmp_path / name / f"{day}", day, 1 - 0.01 * day)
+        lines = "\n".join(ss.history([tmp_path / name]).sunspin.summary().lines)
+        assert ("gap of 18 of 22 days" in lines) is (name == "apart")
+
+
 def test_axes_of_passes_that_are_not_decided_are_named_in_the_figure(result, tmp_path):
     figure = ss.history([save(result, tmp_path / "0", 0.0, decided=False)]).sunspin.plot()
     assert [text.get_text() for text in figure.axes[1].get_legend().get_texts()] == ["x", "y", "z"]

@@ -46,6 +46,7 @@ def history_summary(data: Any) -> Summary:
         lines.append("trend of the speed: not determined (it takes at least five decided passes)")
     else:
         lines.append(_trend_text(trend, error, float(np.median(speed[decided]))))
+        lines += _gap_lines(data["time"].values[decided] / DAY_S)
     if differ := attrs["vehicles_differ"]:
         lines.append(
             f"VEHICLE FILES DIFFER in panels or inertia: {differ}. If they are of two satellites, give the results of one"
@@ -74,6 +75,20 @@ def _trend_text(trend: float, error: float, typical: float) -> str:
     if trend < 0:
         return f"{size}: it slows down, by half in {typical / (2 * -trend):.3g} days at this pace"
     return f"{size}: it spins up, to twice its speed in {typical / trend:.3g} days at this pace"
+
+
+def _gap_lines(days: np.ndarray) -> list[str]:
+    """Return a sentence if one gap between decided passes at times (n), days, takes more than half of all days; else none.
+
+    The trend is then the difference of the speeds on both sides, and how the speed wandered in between is not known.
+    """
+    gap, span = float(np.diff(days).max()), float(np.ptp(days))
+    if gap <= span / 2:
+        return []
+    return [
+        f"  the trend rests on a gap of {gap:.3g} of {span:.3g} days without a decided pass: a jump or a slow change in it would look "
+        "the same, and the error of the trend does not count it"
+    ]
 
 
 def history_drawings(data: Any, _: Context) -> Iterator[Drawing]:
