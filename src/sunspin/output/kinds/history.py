@@ -86,8 +86,8 @@ def _gap_lines(days: np.ndarray) -> list[str]:
     if gap <= span / 2:
         return []
     return [
-        f"  the trend rests on a gap of {gap:.3g} of {span:.3g} days without a decided pass: a jump or a slow change in it would look "
-        "the same, and the error of the trend does not count it"
+        f"  the trend rests on a gap of {gap:.3g} of {span:.3g} days without a decided pass: a jump or a slow change in it would "
+        "look the same, and the error of the trend does not count it"
     ]
 
 
