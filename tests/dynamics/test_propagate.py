@@ -174,6 +174,20 @@ def test_a_wheel_held_then_braked_stops_as_two_runs_by_hand_say():
     assert np.all(steps > 0.99)  # no attitude jumps to the other sign
 
 
+def test_a_wheel_that_friction_cannot_hold_breaks_away_at_the_start_and_at_a_command():
+    (wheel,) = philae_body().wheels
+    weak = replace(wheel, friction=Friction(1e-6, 1e-6), brake_torque_N_m=0.02)
+    vehicle = replace(philae_body(), wheels=(weak,))
+    for mode, begin in (("coast", 0.0), ([(0.0, "brake"), (10.0, "coast")], 10.0)):
+        run = ss.propagate(
+            vehicle, [0.1, 0.05, 0.12], FIRST_SUN, 0.0, np.arange(0.0, 30.0, 5.0), mode
+        )
+        assert run["event_what"].values[0] == "breaks away", mode
+        assert run["event_time_s"].values[0] == begin
+        turns = run["wheel_speed_rad_s"].values[:, 0] != 0.0
+        np.testing.assert_array_equal(turns, run["time"].values > begin)
+
+
 def test_a_wheel_that_friction_cannot_have_held_is_refused_backward():
     vehicle = random_vehicle(np.random.default_rng(1), 1, dry=1e-4)
     with pytest.raises(ss.MotionError, match="cannot have been stuck before"):

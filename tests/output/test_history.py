@@ -73,6 +73,20 @@ def test_passes_of_several_folders_are_in_order_of_time_with_axis_and_momentum(r
     assert np.isnan(data["momentum_J2000"]).all() and np.isnan(data.attrs["trend"])
 
 
+def test_axes_that_are_not_known_are_not_shown_and_the_momentum_has_the_error_of_the_rate(
+    result, tmp_path
+):
+    """A point with an error of hundreds of degrees is no direction."""
+    data = ss.history([save(result, tmp_path / "0", 0.0)])
+    sigma = float(data["omega_sigma_B"][0, 2])  # the body spins about z
+    np.testing.assert_allclose(data["momentum_sigma"], 0.04 * sigma, rtol=0.3)
+    vague = data.assign(spin_axis_sigma_rad=data["spin_axis_sigma_rad"] * 0 + 6.0)
+    assert "deg/s  about (" in data.sunspin.summary().lines[-1]
+    assert "deg/s  about an unknown axis" in vague.sunspin.summary().lines[-1]
+    axes = vague.sunspin.plot().axes[1]
+    assert np.isnan([line.get_ydata()[0] for line in axes.get_lines()]).all()
+
+
 def test_a_later_pass_that_was_estimated_alone_keeps_its_momentum(result, tmp_path):
     """`rates --pass 3` leaves one pass, whose number is 3 and whose place in the result is 0."""
     data = ss.history([save(result.assign_coords(pass_id=[3]), tmp_path / "alone", 0.0)])
@@ -88,7 +102,7 @@ def test_the_history_is_summarised_drawn_saved_and_shown_on_a_page(result, tmp_p
     out = tmp_path / "history"
     done = CliRunner().invoke(cli, ["history", str(tmp_path / "week"), "--out", str(out)])
     assert done.exit_code == 0, done.output
-    assert "8 passes from 2026-03-01T12:00 to 2026-03-08T12:00, 7 decided" in done.output
+    assert "8 passes from 2026-03-01T12:00 to 2026-03-08T12:00 UTC, 7 decided" in done.output
     assert "it slows down, by half in" in done.output and "not decided" in done.output
     table = pd.read_csv(out / "history.csv", comment="#")
     slope = np.polyfit(np.arange(8), table["speed_median_deg_s"], 1)[0]
@@ -97,6 +111,14 @@ def test_the_history_is_summarised_drawn_saved_and_shown_on_a_page(result, tmp_p
     stored = xr.load_dataset(out / "history.nc", engine="h5netcdf")
     assert all(v.attrs.get("units") and v.attrs.get("long_name") for v in stored.variables.values())
     assert "a spinner" in write_report(out).read_text("utf-8")
+
+
+def test_a_trend_that_rests_on_a_gap_of_most_days_is_named(result, tmp_path):
+    for name, days in (("even", range(6)), ("apart", (0, 1, 2, 20, 21, 22))):
+        for day in days:
+            save(result, tmp_path / name / f"{day}", day, 1 - 0.01 * day)
+        lines = "\n".join(ss.history([tmp_path / name]).sunspin.summary().lines)
+        assert ("gap of 18 of 22 days" in lines) is (name == "apart")
 
 
 def test_axes_of_passes_that_are_not_decided_are_named_in_the_figure(result, tmp_path):

@@ -70,6 +70,20 @@ def test_even_samples_leave_aliases_above_half_the_sampling_rate():
     assert any(abs(one.period_s - alias) < 4 * one.sigma_s for one in found.every)
 
 
+@pytest.mark.parametrize("noise", [0.0, 0.02], ids=["exact", "clean"])
+def test_a_clean_sine_is_listed_whatever_its_place_between_the_trial_frequencies(noise):
+    """The peaks of clean readings are narrower than the steps of the trial frequencies."""
+    rng = np.random.default_rng(3)
+    for even in (True, True, True, False):
+        t = np.arange(60) * 10.0 if even else np.sort(rng.uniform(0, 600, 60))
+        period = rng.uniform(60, 250)
+        curve = np.sin(2 * np.pi * t / period + rng.uniform(0, 6)) + noise * rng.normal(size=60)
+        found = find_period(t, curve, 6.28).found
+        assert found is not None
+        assert min(abs(one.period_s - period) for one in found.every) < 0.01 * period
+        assert even or len(found.every) < 5
+
+
 def test_stretches_between_gaps_are_searched_by_themselves():
     t_s, value = light_curve(3)
     gap = np.concatenate([t_s, t_s + 1e5, t_s[:5] + 2e5])

@@ -264,6 +264,9 @@ class _Run:
             )
         else:
             self.t = end
+        last = motion.at_end()
+        for wheel in self._released(commands, events, last.wheel_speed_rad_s[0, 0]):
+            self._add_event(begin, wheel, BREAKS_AWAY)
         for seconds, wheel, what in events:
             self._add_event(begin + seconds, int(wheel), int(what))
         # outputs of this leg, after those of the legs before
@@ -272,9 +275,26 @@ class _Run:
             self.outputs[name][to] = getattr(motion, name)[0, : len(due)]
         self.outputs["matrix"][to] = motion.attitude[0, : len(due)] @ self.matrix
         self.filled += len(due)
-        last = motion.at_end()
         self.omega, self.speeds = last.omega_B[0, 0], last.wheel_speed_rad_s[0, 0].copy()
         self.matrix = last.attitude[0, 0] @ self.matrix
+
+    def _released(
+        self, commands: tuple[str, ...], events: np.ndarray, at_end: np.ndarray
+    ) -> list[int]:
+        """Return the wheels that are at rest at the start of a leg and that friction cannot hold there.
+
+        The kernel releases them without an event. They are recognised by what follows: another event than breaking away, or
+        a speed at the end of the leg, `at_end` (n_wheel). After an event of another wheel the time is unknown: none is returned.
+        """
+        released = []
+        for i, (wheel, command) in enumerate(zip(self.vehicle.wheels, commands, strict=True)):
+            dry = command != "hold" and friction_limit(wheel, command) > 0.0
+            if self.backward or not dry or self.speeds[i] != 0.0:
+                continue
+            first = events[0] if len(events) else None
+            if at_end[i] != 0.0 if first is None else first[1] == i and first[2] != BREAKS_AWAY:
+                released.append(i)
+        return released
 
     def _leg(self, seconds: np.ndarray, commands: tuple[str, ...]) -> Motion:
         """Return the motion from the present state to `seconds` (n_out) after it, with all its events."""

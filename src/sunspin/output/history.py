@@ -21,6 +21,7 @@ from sunspin.base.provenance import provenance
 from sunspin.environment.frames import J2000
 from sunspin.output.folder import MARKER
 from sunspin.output.report.read import Results, read_results
+from sunspin.output.text import signed_text
 from sunspin.vehicle import Vehicle
 
 DAY_S = 86_400.0
@@ -66,8 +67,8 @@ def history(folders: Sequence[str | Path]) -> xr.Dataset:
         Over `time`, the middles of the passes in s from ``attrs["epoch_utc"]``: `utc_at`, `decided`, `probability`, `samples` and
         `why_not_decided` of the most probable solution; its `speed_median` with `speed_sigma`, rad/s; `omega_B` with
         `omega_sigma_B` (time, axis); `spin_axis_B` (time, axis), the direction of the rate, with `spin_axis_sigma_rad`. `momentum`,
-        size of the angular momentum of the body in N m s; `momentum_sun_rad`, its angle to the Sun; `momentum_J2000` (time, axis),
-        its direction where an orbit was given. These three are NaN without an inertia.
+        size of the angular momentum of the body in N m s, with `momentum_sigma`; `momentum_sun_rad`, its angle to the Sun;
+        `momentum_J2000` (time, axis), its direction where an orbit was given. These four are NaN without an inertia.
 
         attrs: `trend`, `trend_sigma` (rad/s per day), `walk` (rad/s per square root of a day), `scatter` (rad/s), from the decided
         passes, NaN if too few; `jumps`: a sentence for each; `vehicles_differ`: two folders whose vehicle files differ in panels or
@@ -121,6 +122,7 @@ def history(folders: Sequence[str | Path]) -> xr.Dataset:
                     "speed_high",
                     "speed_sigma",
                     "momentum",
+                    "momentum_sigma",
                     "momentum_sun_rad",
                 ),
             )
@@ -132,7 +134,7 @@ def history(folders: Sequence[str | Path]) -> xr.Dataset:
         "momentum_J2000": (("time", "axis"), columns["momentum_J2000"]),
     }
     jumps = [
-        f"{_utc_text(rows[numbers[k]]['utc'])}: {np.degrees(step):+.3g} ± {np.degrees(error):.2g} deg/s"
+        f"{_utc_text(rows[numbers[k]]['utc'])}: {signed_text(np.degrees(step), np.degrees(error), 'deg/s')}"
         for k, step, error in trend.jumps
     ]
     # the last folder of each vehicle
@@ -244,10 +246,12 @@ def _momentum(
     """Return size and directions of the body's angular momentum in a pass, means over its samples; NaN if they are not known.
 
     `place`: of the pass in the result, which is not its pass_id if only some passes were estimated.
+    The error of the size is the mean too, as the errors of neighbouring rates are alike; that of the inertia is not in it.
     Wheels are left out: their momentum is not that of the body, and their speeds may be unknown.
     """
     unknown = {
         "momentum": np.nan,
+        "momentum_sigma": np.nan,
         "momentum_sun_rad": np.nan,
         "momentum_J2000": np.full(3, np.nan),
     }
@@ -260,6 +264,9 @@ def _momentum(
     momentum_B = omega[known] @ inertia.T
     found = unknown | {"momentum": float(np.linalg.norm(momentum_B, axis=1).mean())}
     direction = momentum_B / np.linalg.norm(momentum_B, axis=1, keepdims=True)
+    along = direction @ inertia  # change of the size with the rate
+    variance = np.einsum("ni,nij,nj->n", along, data["omega_cov_B"].values[inside][known], along)
+    found["momentum_sigma"] = float(np.sqrt(np.maximum(variance, 0.0)).mean())
     cosine = np.sum(direction * data["sun_B"].values[inside][known], axis=1)
     if np.isfinite(cosine).any():
         found["momentum_sun_rad"] = float(np.arccos(np.clip(np.nanmean(cosine), -1, 1)))

@@ -78,6 +78,12 @@ def with_sigma(value: Any, sigma: Any, unit: str = "") -> str:
     return f"{value:z.{decimals}f} ± {sigma:.{decimals}f}{unit}"
 
 
+def signed_text(value: float, sigma: float, unit: str) -> str:
+    """Return a number with its sign and its sigma, as :func:`with_sigma`: +1.234 ± 0.056 deg/s."""
+    text = with_sigma(value, sigma, unit)
+    return text if text.startswith("-") else f"+{text}"
+
+
 def with_range(value: float, low: float, high: float) -> str:
     """Return a number and the ends of its range, to two digits of half the range: 3.53 (3.49 to 3.57)."""
     decimals = _decimals((high - low) / 2)

@@ -8,8 +8,9 @@ cannot tell, both periods are listed with their probabilities.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.special import logsumexp
@@ -47,8 +48,12 @@ LEAST_PROBABILITY = 0.01
 GAP_INTERVALS = 6.0
 """A gap of so many usual intervals parts two stretches, as it parts two passes."""
 
-HALF_A_STEP = 3.0
-"""Log likelihood by which a trial frequency may lie below the top of its peak, half a step away."""
+HALF_A_STEP = 3.0, 0.02
+"""What a trial frequency may lack that is half a step from the top of its peak: log likelihood, or share of the squares of the
+readings, if that is more. Its phase is then wrong by up to 0.2 rad at both ends, which leaves 0.2^2 / 3 of the squares."""
+
+LEAST_LEFT = 1e-6
+"""Share of the squares that any frequency leaves: readings are at best exact to a thousandth of their size."""
 
 MOST_TRIALS = 20_000
 """Most trial frequencies of a stretch: 20,000 with 1,000 readings take half a minute."""
@@ -162,7 +167,8 @@ def find_period(t_s: np.ndarray, values: np.ndarray, shortest_s: float) -> Stret
         return nothing._replace(false_alarm=false_alarm)
 
     # correlated readings count as fewer independent ones
-    correlation = _correlation(fitted.residual(float(trials[np.argmin(left)])))
+    top = _top(lambda frequency: float(fitted.left(frequency, HARMONICS)[0]), trials, left.argmin())
+    correlation = _correlation(fitted.residual(top), LEAST_LEFT * (y @ y))
     likely = _likely_periods(fitted, trials, len(t_s) * (1 - correlation) / (1 + correlation))
     best, aliases = likely[0], tuple(likely[1:])
     found = FoundPeriod(
@@ -220,7 +226,7 @@ class _Fitted:
         for part in self._parts(len(frequency)):
             basis = np.swapaxes(self._harmonics(frequency[part], which), 1, 2)
             explained[part] = ((basis @ self.y) ** 2).sum(axis=1)
-        return np.maximum(1 - explained / (self.y @ self.y), 1e-12)
+        return np.maximum(1 - explained / (self.y @ self.y), 0.0) + LEAST_LEFT
 
     def residual(self, frequency: float) -> np.ndarray:
         """Return the readings (n) less trend and harmonics."""
@@ -228,36 +234,51 @@ class _Fitted:
         return self.y - basis @ (basis.T @ self.y)
 
 
+def _top(depth: Callable[[np.ndarray], float], trials: np.ndarray, peak: Any) -> float:
+    """Return the frequency (Hz) at which `depth`, a function of one frequency (1), is least next to the trial numbered `peak`."""
+    # imported late: `rates`, which reads the results, does not wait for it
+    from scipy.optimize import minimize_scalar
+
+    step = float(trials[1] - trials[0])
+    bounds = max(trials[peak] - step, trials[0]), min(trials[peak] + step, trials[-1])
+    found = minimize_scalar(
+        lambda frequency: depth(np.array([frequency])),
+        bounds=bounds,
+        method="bounded",
+        options={"xatol": 1e-4 * step},
+    )
+    return float(found.x)
+
+
 def _likely_periods(fitted: _Fitted, trials: np.ndarray, independent: float) -> list[LikelyPeriod]:
     """Return the periods that fit about as well as the best one, the most probable first.
 
     All frequencies are as likely before. Each peak is a normal law with the curvature of its top. `independent`: readings.
     """
-    # imported late: `rates`, which reads the results, does not wait for it
-    from scipy.optimize import minimize_scalar
-
     step = float(trials[1] - trials[0])
 
-    def depth(frequency: float) -> float:
-        """Return minus the log likelihood of a frequency (Hz)."""
-        return -float(fitted.log_likelihood(np.array([frequency]), independent)[0])
+    def depth(frequency: np.ndarray) -> float:
+        """Return minus the log likelihood of a frequency (1), Hz."""
+        return -float(fitted.log_likelihood(frequency, independent)[0])
 
     height = fitted.log_likelihood(trials, independent)
     edges = np.concatenate([[-np.inf], height, [-np.inf]])
     peaks = np.flatnonzero((edges[1:-1] >= edges[:-2]) & (edges[1:-1] > edges[2:]))
-    peaks = peaks[height[peaks] > height.max() - HALF_A_STEP + np.log(LEAST_PROBABILITY)]
+    # the peaks of exact readings are narrow: a trial half a step away from the top of one may lie far below it
+    left = fitted.left(trials, HARMONICS)
+    possible = np.maximum(left - HALF_A_STEP[1], LEAST_LEFT)
+    lacks = np.maximum(HALF_A_STEP[0], independent / 2 * np.log(left / possible))
+    tops = (height + lacks)[peaks]
+    peaks = peaks[tops > height.max() + np.log(LEAST_PROBABILITY)]
     rows = []
     for peak in peaks:
-        low, high = max(trials[peak] - step, trials[0]), min(trials[peak] + step, trials[-1])
-        top = minimize_scalar(
-            depth, bounds=(low, high), method="bounded", options={"xatol": 1e-4 * step}
-        )
-        wide, drop = step, np.inf
+        top = np.array([_top(depth, trials, peak)])
+        least, wide, drop = depth(top), step, np.inf
         while drop > 0.5 and wide > 1e-6 * step:  # down to where the top is a parabola
             wide /= 2
-            drop = (depth(top.x + wide) + depth(top.x - wide)) / 2 - top.fun
+            drop = (depth(top + wide) + depth(top - wide)) / 2 - least
         sigma = min(wide / np.sqrt(2 * drop), step) if drop > 0 else step
-        rows.append((float(top.x), sigma, -float(top.fun)))
+        rows.append((float(top[0]), sigma, -least))
     frequency, sigma, log_height = np.array(rows).T
     weight = np.exp(log_height - log_height.max()) * sigma
     weight /= weight.sum()
@@ -271,10 +292,13 @@ def _likely_periods(fitted: _Fitted, trials: np.ndarray, independent: float) -> 
     ]
 
 
-def _correlation(left: np.ndarray) -> float:
-    """Return the correlation of neighbouring readings (n) free of their trend, with what the trend took from it, 0 to 0.95."""
+def _correlation(left: np.ndarray, white: float = 0.0) -> float:
+    """Return the correlation of neighbouring readings (n) free of their trend, with what the trend took from it, 0 to 0.95.
+
+    `white`: sum of the squares of an uncorrelated part that is added.
+    """
     n = len(left)
-    read = (left[1:] @ left[:-1]) / (left @ left)
+    read = (left[1:] @ left[:-1]) / (left @ left + white)
     # a trend of three numbers, fitted to noise of correlation r, lowers it by about (3 + 3 r) / n, as after Kendall (1954)
     return float(np.clip(read + (TREND + 1) * (1 + read) / n, 0.0, 0.95))
 

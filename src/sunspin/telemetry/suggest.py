@@ -785,7 +785,7 @@ def _time_words(column: str) -> list[str]:
 
 
 def _describe_times(cells: list[str], named: list[str]) -> list[str] | None:
-    """Return the lines for a column of times; None if the cells are no times. `named`: the words of the column's name."""
+    """Return the lines for a column of dates, or of numbers if a word of its name (`named`) means a time; None for other cells."""
     words = set(named)
     filled = [cell.strip() for cell in cells if cell.strip()]
     if not filled:
@@ -797,7 +797,7 @@ def _describe_times(cells: list[str], named: list[str]) -> list[str] | None:
     dates = sum(parse_utc(cell) is not None for cell in ordered if not cell.isdigit())
     if dates >= READ_SHARE * len(filled):
         lines = [_entry('time_format = "utc"', "dates; add time_zone if they are local times")]
-        if any(has_no_order(cell) for cell in filled):
+        if any(has_no_order(cell) for cell in filled):  # such as 31/01/2026
             guess = "day before month, or false; by the dates"
             if day_first is None:
                 guess = "check this: day before month, or false; the dates do not show it"

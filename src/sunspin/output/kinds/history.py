@@ -10,7 +10,10 @@ import numpy as np
 from sunspin.output.figures import BLACK, COLOURS, GREY, axes_grid, escape_name, styled
 from sunspin.output.history import DAY_S
 from sunspin.output.kind import KINDS, Context, Drawing, Kind, Summary, Table
-from sunspin.output.text import with_sigma
+from sunspin.output.text import signed_text, with_sigma
+
+LARGEST_AXIS_SIGMA_RAD = 1.0
+"""A spin axis with a larger error is not shown: the errors of an axis that is not known at all are 1 to 2 rad."""
 
 MOST_LINES = 30
 """Number of passes that are printed; the table has all."""
@@ -36,25 +39,25 @@ def history_summary(data: Any) -> Summary:
     }
     passes = "1 pass" if decided.size == 1 else f"{decided.size} passes"
     lines = [
-        f"{attrs['vehicle']}: {passes} from {numbers['from'][:16]} to {numbers['to'][:16]}, "
+        f"{attrs['vehicle']}: {passes} from {numbers['from'][:16]} to {numbers['to'][:16]} UTC, "
         f"{decided.sum()} decided"
     ]
     if numbers["trend_deg_s_day"] is None:
         lines.append("trend of the speed: not determined (it takes at least five decided passes)")
     else:
         lines.append(_trend_text(trend, error, float(np.median(speed[decided]))))
+        lines += _gap_lines(data["time"].values[decided] / DAY_S)
     if differ := attrs["vehicles_differ"]:
         lines.append(
             f"VEHICLE FILES DIFFER in panels or inertia: {differ}. If they are of two satellites, give the results of one"
         )
     lines += [f"JUMP of the speed before {jump}" for jump in numbers["jumps"]]
     for k in range(min(decided.size, MOST_LINES)):
-        axis, turn = (
-            data["spin_axis_B"].values[k],
-            np.degrees(data["spin_axis_sigma_rad"].values[k]),
-        )
+        axis, turn = data["spin_axis_B"].values[k], data["spin_axis_sigma_rad"].values[k]
         size = with_sigma(speed[k], sigma[k], "deg/s")
-        about = "({:+.2f}, {:+.2f}, {:+.2f})".format(*axis) + f" ± {turn:.1f} deg"
+        about = "({:+.2f}, {:+.2f}, {:+.2f})".format(*axis) + f" ± {np.degrees(turn):.1f} deg"
+        if not turn <= LARGEST_AXIS_SIGMA_RAD:
+            about = "an unknown axis"
         verdict = "" if decided[k] else f"  not decided: {data['why_not_decided'].values[k]}"
         lines.append(f"  {data['utc_at'].values[k][:16]}  {size}  about {about}{verdict}")
     rest = decided.size - MOST_LINES
@@ -66,7 +69,7 @@ def history_summary(data: Any) -> Summary:
 
 def _trend_text(trend: float, error: float, typical: float) -> str:
     """Return the trend (deg/s per day) with its error in words; `typical` is the median speed in deg/s."""
-    size = f"trend of the speed: {trend:+.3g} ± {error:.2g} deg/s per day"
+    size = f"trend of the speed: {signed_text(trend, error, 'deg/s per day')}"
     if abs(trend) < 2 * error:
         return f"{size} (within two sigma of none)"
     if trend < 0:
@@ -74,11 +77,27 @@ def _trend_text(trend: float, error: float, typical: float) -> str:
     return f"{size}: it spins up, to twice its speed in {typical / trend:.3g} days at this pace"
 
 
+def _gap_lines(days: np.ndarray) -> list[str]:
+    """Return a sentence if one gap between decided passes at times (n), days, takes more than half of all days; else none.
+
+    The trend is then the difference of the speeds on both sides, and how the speed wandered in between is not known.
+    """
+    gap, span = float(np.diff(days).max()), float(np.ptp(days))
+    if gap <= span / 2:
+        return []
+    return [
+        f"  the trend rests on a gap of {gap:.3g} of {span:.3g} days without a decided pass: a jump or a slow change in it would "
+        "look the same, and the error of the trend does not count it"
+    ]
+
+
 def history_drawings(data: Any, _: Context) -> Iterator[Drawing]:
     """Yield the figure of speed, spin axis and momentum against time."""
     caption = (
-        "Each point is a pass with one sigma; open points are not decided and do not count in the trend. The grey line is the "
-        "trend with its jumps. The second panel shows the components of the unit vector along the rate at mid-pass, in body axes."
+        "Each point is a pass; open points are not decided and do not count in the trend. Bars are one sigma; directions of the "
+        "momentum have none, and the inertia is taken as exact. The grey line is the trend with its jumps. The second panel shows "
+        "the components of the unit vector along the rate at mid-pass, in body axes. Directions are left out if the error of the "
+        f"spin axis exceeds {np.degrees(LARGEST_AXIS_SIGMA_RAD):.0f} degrees."
     )
     yield Drawing(
         "history",
@@ -107,8 +126,9 @@ def history_figure(data: Any) -> Any:
     axes.set_ylim(0.0, 1.1 * float(np.nanmax(speed + sigma)))
     axes = next(panels)
     turn = data["spin_axis_sigma_rad"].values
+    known = turn <= LARGEST_AXIS_SIGMA_RAD
     for k, name in enumerate("xyz"):
-        values = data["spin_axis_B"].values[:, k]
+        values = np.where(known, data["spin_axis_B"].values[:, k], np.nan)
         error = turn * np.sqrt(np.maximum(1 - values**2, 0.0))  # largest change by such a turn
         _draw_points(axes, days, values, error, decided, COLOURS[k], name)
     axes.set(ylabel="spin axis in the\nbody (unit vector)", ylim=(-1.1, 1.1))
@@ -116,17 +136,19 @@ def history_figure(data: Any) -> Any:
     no_error = np.zeros(len(days))
     if has_momentum:
         axes = next(panels)
-        _draw_points(axes, days, data["momentum"].values, no_error, decided, BLACK, "momentum")
+        size, error = data["momentum"].values, data["momentum_sigma"].values
+        _draw_points(axes, days, size, error, decided, BLACK, "momentum")
         axes.set_ylabel("angular momentum\n(N m s)")
+        axes.set_ylim(bottom=max(0.0, axes.get_ylim()[0]))
     if has_sun:
         axes = next(panels)
-        angle = np.degrees(data["momentum_sun_rad"].values)
+        angle = np.where(known, np.degrees(data["momentum_sun_rad"].values), np.nan)
         _draw_points(axes, days, angle, no_error, decided, BLACK, "angle")
         axes.set(ylabel="momentum to the\nSun (deg)", ylim=(0, 180))
     if in_space:
         axes = next(panels)
         for k, name in enumerate("xyz"):
-            values = data["momentum_J2000"].values[:, k]
+            values = np.where(known, data["momentum_J2000"].values[:, k], np.nan)
             _draw_points(axes, days, values, no_error, decided, COLOURS[k], name)
         axes.set(ylabel="momentum in J2000\n(unit vector)", ylim=(-1.1, 1.1))
     axes.set_xlabel(f"time (days) since {data.attrs['epoch_utc'][:16]} UTC")
@@ -184,6 +206,7 @@ def history_tables(data: Any) -> Iterator[Table]:
         frame[f"spin_axis_{axis}"] = data["spin_axis_B"].values[:, k]
     frame["spin_axis_sigma_deg"] = np.degrees(data["spin_axis_sigma_rad"].values)
     frame["momentum_N_m_s"] = data["momentum"].values
+    frame["momentum_sigma_N_m_s"] = data["momentum_sigma"].values
     frame["momentum_sun_deg"] = np.degrees(data["momentum_sun_rad"].values)
     for k, axis in enumerate("xyz"):
         frame[f"momentum_J2000_{axis}"] = data["momentum_J2000"].values[:, k]

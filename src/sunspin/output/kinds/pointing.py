@@ -130,7 +130,7 @@ def pointing_drawings(data: Any, _: Context) -> Iterator[Drawing]:
         "pointing",
         lambda: pointing_figure(data),
         "Angles of body axes to the Sun, nadir, ram and stations against time in each pass, with bars of one sigma.",
-        "Dots: samples with one sigma; lines: the estimated motion between them. Passes that are not decided are empty."
+        "Dots: times of the table, with one sigma; lines: the estimated motion between them. Passes that are not decided are empty."
         + (chosen if shown < passes else ""),
     )
 
