@@ -167,6 +167,15 @@ def test_folders_of_other_commands_and_empty_ones_are_refused(tmp_path):
     data.sunspin.save(tmp_path / "other")
     with pytest.raises(ss.InputError, match="results of `sunspin"):
         ss.history([tmp_path / "other"])
+    with pytest.raises(ss.InputError, match="the folder holds no results"):
+        ss.history([tmp_path])
+
+
+def test_results_of_other_commands_beside_those_of_rates_do_not_matter(result, tmp_path):
+    save(result, tmp_path / "monday", 0.0)
+    (tmp_path / "attitude").mkdir()
+    (tmp_path / "attitude" / ".sunspin-results").write_text("export\n", "utf-8")
+    assert ss.history([tmp_path]).sizes["time"] == ss.history([tmp_path / "monday"]).sizes["time"]
 
 
 def simulated(rng, n, slope, walk, jump=0.0):

@@ -19,7 +19,7 @@ from scipy.spatial.transform import Rotation
 from sunspin.base.errors import InputError
 from sunspin.base.provenance import provenance
 from sunspin.environment.frames import J2000
-from sunspin.output.folder import MARKER
+from sunspin.output.folder import MARKER, read_command
 from sunspin.output.report.read import Results, read_results
 from sunspin.output.text import signed_text
 from sunspin.vehicle import Vehicle
@@ -162,10 +162,11 @@ def _utc_text(utc: np.datetime64) -> str:
 
 
 def _results_below(folder: Path) -> list[Path]:
-    """Return the folder if it is a results folder, else the results folders in it, in the order of their names."""
+    """Return the folder if it is a results folder, else the results of `rates` in it, in the order of their names."""
     if (folder / MARKER).exists() or not folder.is_dir():
         return [folder]
-    inside = sorted(path.parent for path in folder.glob(f"*/{MARKER}"))
+    markers = sorted(folder.glob(f"*/{MARKER}"))
+    inside = [marker.parent for marker in markers if read_command(marker) == "rates"]
     if not inside:
         what = "the folder holds no results"
         raise InputError(
