@@ -41,6 +41,26 @@ main()"""
 
 @pytest.mark.evidence("sun", "verified", "the files that init writes")
 @pytest.mark.evidence("init", "verified", "check and sun run on what it writes")
+@pytest.mark.parametrize(("before", "imported"), [("", False), ("import xarray", True)])
+def test_dask_is_imported_only_where_xarray_has_looked_for_it(start, before, imported):
+    """It would take half a second; a program that has xarray already needs it to find the same as before."""
+    pytest.importorskip("dask")
+    words = ["sunspin", "sun", "vehicle.toml", "telemetry.csv", "--quiet"]
+    code = f"""import sys
+{before}
+sys.argv = {words}
+from sunspin.cli import main
+try:
+    main()
+except SystemExit as end:
+    print(end.code, "dask.array" in sys.modules)
+"""
+    done = subprocess.run(
+        [sys.executable, "-c", code], cwd=start, capture_output=True, text=True, check=True
+    )
+    assert done.stdout.split() == ["0", str(imported)]
+
+
 def test_files_written_by_init_work_with_the_next_commands(start):
     files = start / "vehicle.toml", start / "telemetry.csv"
     assert "40 synthetic samples" in sunspin("check", *files).out

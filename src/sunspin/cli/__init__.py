@@ -134,10 +134,10 @@ def _seldom_collecting() -> Generator[None]:
 @contextmanager
 def _without_dask() -> Generator[None]:
     """Hide dask from xarray, which would import it wherever it is installed, for half a second; a scheduler alone needs it."""
-    hidden = "dask" not in sys.modules and not any(
-        word.startswith("--scheduler") for word in sys.argv
-    )
     modules: dict[str, Any] = sys.modules
+    scheduled = any(word.startswith("--scheduler") for word in sys.argv)
+    # xarray looks for dask when it is imported: after that it must find the same
+    hidden = not scheduled and "dask" not in modules and "xarray" not in modules
     if hidden:
         modules["dask"] = None  # an import of it raises ModuleNotFoundError
     try:
