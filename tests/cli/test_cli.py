@@ -39,8 +39,6 @@ main()"""
     assert done.stdout.endswith("kept from the search: True\n")
 
 
-@pytest.mark.evidence("sun", "verified", "the files that init writes")
-@pytest.mark.evidence("init", "verified", "check and sun run on what it writes")
 @pytest.mark.parametrize(("before", "imported"), [("", False), ("import xarray", True)])
 def test_dask_is_imported_only_where_xarray_has_looked_for_it(start, before, imported):
     """It would take half a second; a program that has xarray already needs it to find the same as before."""
@@ -61,6 +59,8 @@ except SystemExit as end:
     assert done.stdout.split() == ["0", str(imported)]
 
 
+@pytest.mark.evidence("sun", "verified", "the files that init writes")
+@pytest.mark.evidence("init", "verified", "check and sun run on what it writes")
 def test_files_written_by_init_work_with_the_next_commands(start):
     files = start / "vehicle.toml", start / "telemetry.csv"
     assert "40 synthetic samples" in sunspin("check", *files).out

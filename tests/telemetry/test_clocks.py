@@ -779,3 +779,13 @@ def test_parts_of_a_date_that_are_none_are_shown(tmp_path):
     path.write_text(f"{header}\n2026,2,30,23,59,60,1,1\n2026,3,1,0,0,10,1,2\n")
     with pytest.raises(TelemetryError, match="line 2, column 't': .*2026 2 30 23 59 60"):
         ss.read_telemetry(path, craft(""))
+
+
+def test_a_column_that_the_vehicle_file_reads_is_no_part_of_a_date(tmp_path):
+    path = tmp_path / "t.csv"
+    path.write_text(
+        "year,month,day,hour,minute,second,s,pb\n2026,1,1,0,0,0,1,1\n2026,1,1,0,0,9,1,2\n"
+    )
+    text = VEHICLE.format(form="", bad_rows="flag").replace('"pa"', '"s"')
+    data = ss.read_telemetry(path, parse_vehicle(text, "v.toml"))
+    assert data["time"].values.tolist() == [0.0, 9.0] and data.sizes["panel"] == 2

@@ -73,6 +73,8 @@ def databases(rows: pd.DataFrame) -> dict[str, str]:
         }
         for row in long.to_dict("records")
     ]
+    # one that was not acquired has no value
+    parameters.insert(3, {key: parameters[0][key] for key in ("id", "generationTime")})
     lines = [
         f"eps,panel={row['name']},sat=my\\ sat value={row['value']} {row['unix_s']}000000000"
         for row in long.to_dict("records")

@@ -367,6 +367,19 @@ def test_a_date_and_a_time_of_day_in_two_columns_and_a_row_of_units_are_read(dat
 
 
 @pytest.mark.parametrize(
+    ("name", "first", "step"),
+    [("TT_1", 20.0, 0.05), ("ET", 0.0, 10.0), ("julian_day", 2461000, 0)],
+)
+def test_numbers_that_only_look_like_times_by_the_name_are_no_times(name, first, step, folder):
+    """A temperature, a time since the start of the file, and days whose time of day is in another column."""
+    rows = [f"{first + k * step},{k},{300 + k},{200 - k}" for k in range(20)]
+    text = "\n".join([f"{name},seconds_of_day,iXp [mA],iXm [mA]", *rows])
+    (folder / "export.csv").write_text(text, "utf-8")
+    done = CliRunner().invoke(cli, ["init", "mine", "--from", "export.csv"])
+    assert "no columns look like times" in str(done.exception)
+
+
+@pytest.mark.parametrize(
     ("names", "cells"),
     [
         ("Date,Time,ms", "31.01.2026,09:15:{s:02d},{ms}"),
@@ -378,6 +391,10 @@ def test_a_date_and_a_time_of_day_in_two_columns_and_a_row_of_units_are_read(dat
         ("mjd", "{mjd:.9f}"),
         ("date,time", "20260131,915{s:02d}.{ms:03d}"),
         ("year,month,day,hour,minute,second", "2026,1,31,9,15,{s}.{ms:03d}"),
+        ("time,year,month,day,hour,minute,second", "{s},2026,1,31,9,15,{s}.{ms:03d}"),
+        ("time_s,year,month,day,hour,minute,second", "{s},2026,1,31,9,15,{s}.{ms:03d}"),
+        ("time,date_time", "{s},2026-01-31 09:15:{s:02d}.{ms:03d}"),
+        ("year,month,day,hour_of_day,minute,second", "2026,1,31,9,15,{s}.{ms:03d}"),
         ("YYYY,MM,DD,hh,mm,ss,ms", "26,01,31,09,15,{s:02d},{ms}"),
         ("YYYY,DDD,HH,MM,SS,ms", "2026,031,09,15,{s:02d},{ms}"),
         ("Year,DOY,Seconds of day", "2026,31,{day:.3f}"),

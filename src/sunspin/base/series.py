@@ -52,10 +52,12 @@ def rows_of_series(document: Any) -> list[dict[str, Any]] | None:
         ]
     items = document.get("parameter") if isinstance(document, dict) else document
     items = items if isinstance(items, list) else [document]
-    if not items or not all(map(_is_parameter, items)):
+    # a parameter that was not acquired has no value
+    acquired = [item for item in items if not _is_parameter(item, with_value=False)]
+    if not items or not all(map(_is_parameter, acquired)):
         return None
     rows = []
-    for item in items:
+    for item in acquired:
         value = item.get("engValue") or item["rawValue"]
         # such as {"type": "FLOAT", "floatValue": 1.5}
         numbers = [value[key] for key in value if key.endswith("Value")]
@@ -65,13 +67,13 @@ def rows_of_series(document: Any) -> list[dict[str, Any]] | None:
     return rows
 
 
-def _is_parameter(item: Any) -> bool:
-    """Return whether a JSON value is a value of a parameter as YAMCS writes it."""
+def _is_parameter(item: Any, with_value: bool = True) -> bool:
+    """Return whether a JSON value is a parameter as YAMCS writes it, with a value or without."""
     if not isinstance(item, dict) or not isinstance(item.get("id"), dict):
         return False
     is_dated = "generationTimeUTC" in item or "generationTime" in item
     value = item.get("engValue") or item.get("rawValue")
-    return is_dated and "name" in item["id"] and isinstance(value, dict)
+    return is_dated and "name" in item["id"] and (isinstance(value, dict) is with_value)
 
 
 def _is_target(item: Any) -> bool:
@@ -142,7 +144,7 @@ def _name_series(labels: list[dict[str, str]], last: str) -> list[str]:
         parts = [label[key] for key in differ if label.get(key)]
         if label[last] and not (parts and label[last] in UNNAMED):
             parts.append(label[last])
-        names.append(".".join(parts))
+        names.append(".".join(parts) or "value")
     return names
 
 

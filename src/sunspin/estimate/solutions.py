@@ -29,8 +29,8 @@ LEAST_SHARE = 0.05
 """Motions with less than this share of a solution's probability do not count in the sigma of its mean rate."""
 
 DENIED = 1e-5
-"""Probability of errors of a magnetometer's axes and scales as large as the fitted ones. 55 passes of spinners whose file states
-the right axes have 0.16 and more; of one that was read along other axes three passes had 5e-7 and less, and were decided."""
+"""Least probability of errors of a magnetometer's axes and scales as large as the fitted ones. 55 passes of spinners whose file is
+right have 0.16 and more; of one that was read along other axes three passes had 5e-7 and less, and were decided."""
 
 
 @dataclass(frozen=True)
@@ -294,8 +294,8 @@ def estimates(fitted: Fit) -> dict[str, tuple[str, float, float]]:
 def denied_sensors(fitted: Fit) -> tuple[str, ...]:
     """Return the sensors whose axes and scales a fit (K = 1) needs farther from those of the file than errors of them may be.
 
-    That is asked of a magnetometer without an orbit alone: through a matrix of errors that is many sigmas off its readings may fit
-    a wrong motion.
+    That is asked of a magnetometer without an orbit alone. With a matrix of errors many sigmas from zero its readings may fit a
+    wrong motion.
     """
     unknowns = zip(fitted.model.unknowns, fitted.motions.u[0], strict=True)
     errors = np.array([value for unknown, value in unknowns if unknown.kind == "field_matrix"])

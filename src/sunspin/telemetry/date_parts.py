@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Collection
 from datetime import datetime, timedelta
 
 import numpy as np
@@ -15,7 +16,7 @@ PARTS = {
     "month": ("month", "mon", "mm", "mo", "months"),
     "day": ("day", "dd", "dom", "day month", "days"),
     "day_of_year": ("doy", "ddd", "yday", "day year", "dayofyear", "jday"),
-    "hour": ("hour", "hh", "hr", "hours", "h"),
+    "hour": ("hour", "hh", "hr", "hours", "h", "hour day", "hours day"),
     "minute": ("minute", "min", "mm", "mi", "mn", "minutes"),
     "second": ("second", "sec", "ss", "s", "seconds", "secs"),
     "second_of_day": ("sod", "second day", "seconds day", "sec day", "secs day", "secondofday"),
@@ -36,8 +37,10 @@ def find_date_parts(header: list[str]) -> dict[str, str]:
     for column in header:
         words = re.findall(r"[a-z]+", re.sub(r"[\[(].*?[\])]", "", column.lower()))
         name = " ".join(word for word in words if word not in OTHER_WORDS)
-        if " ".join(words).endswith("of day"):  # such as time_of_day [s]
+        if " ".join(words).endswith("time of day"):  # such as time_of_day [s]
             name = "second day"
+        if name in PARTS["second"] and {*words} & {"time", "t", "obt", "obc"}:
+            continue  # such as time_s: seconds since some instant, not of the minute
         kind = next((kind for kind in PARTS if name in PARTS[kind] and kind not in columns), None)
         if kind is not None:
             columns[kind] = column
@@ -55,13 +58,13 @@ def find_date_parts(header: list[str]) -> dict[str, str]:
     return {kind: columns[kind] for kind in names} if columns.keys() >= {*names} else {}
 
 
-def join_date_parts(table: TextTable, name: str) -> TextTable:
+def join_date_parts(table: TextTable, name: str, kept: Collection[str] = ()) -> TextTable:
     """Return a table with a column `name` of dates in ISO 8601, without a zone, in the place of the columns of their parts.
 
-    A row whose parts are no date has them joined by blanks, as messages show them. A table is returned unchanged if it has a
-    column of this name, or not all parts.
+    Columns in `kept` are no parts, even if their names are such. A row whose parts are no date has them joined by blanks, as
+    messages show them. A table is returned unchanged if it has a column of this name, or not all parts.
     """
-    columns = find_date_parts(table.header)
+    columns = find_date_parts([column for column in table.header if column not in kept])
     if not columns or name in table.header:
         return table
     texts = table.cells[[*columns.values()]].to_numpy()

@@ -149,7 +149,7 @@ def rewrite_dates(form: TelemetryForm, table: TextTable) -> TextTable:
         The order of day and month is neither stated nor shown by a date of the file.
     """
     if form.time_format in ("utc", "gps", "tai", "tt"):
-        table = join_date_parts(table, form.time_column)
+        table = join_date_parts(table, form.time_column, form.columns.values())
     cells = table.cells.copy()
     if form.date_column in table.header and form.time_column in table.header:
         dates = cells.pop(form.date_column)

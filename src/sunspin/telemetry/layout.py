@@ -73,8 +73,8 @@ def pivot_series(table: TextTable, time_column: str, names: set[str]) -> Samples
         if not usual and not parts:
             return Samples(table)
         series_column = (usual or parts)[0]
-        different = table.cells[[time_column, series_column, value_column]].drop_duplicates()
-        if usual and parts and different.duplicated([time_column, series_column]).any():
+        by_part = table.cells[[time_column, series_column, *parts[:1]]].drop_duplicates()
+        if usual and parts and by_part.duplicated([time_column, series_column]).any():
             # such as panel xp and metric current_mA
             joined = (
                 table.cells[parts[0]].str.strip() + "." + table.cells[series_column].str.strip()

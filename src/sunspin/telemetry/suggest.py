@@ -124,6 +124,9 @@ SECOND_WORDS = ("s", "sec", "secs", "second", "seconds", "coarse", "tv")
 LONGEST_S = 1e8
 """Numbers of seconds above this (three years) are times and no durations."""
 
+LAST_OLD_UNIX_S = 1.5e9
+"""Numbers up to this may be GPS seconds, of mid-2027, where the name of the file says so: as Unix times they end in mid-2017."""
+
 BOARD_CLOCKS = ("obt", "sclk", "scet", "met", "spacecraft", "sc", "onboard")
 """Words in the name of a time column of a clock on board, whose time zero the mission sets."""
 
@@ -687,10 +690,9 @@ def _find_times(table: TextTable) -> _Times | None:
     rank, *_, column, lines = min(ranked, default=(3, "", []))
     if (not lines or "elapsed" in lines[0]) and (gps := _gps_weeks(table)) is not None:
         return gps
-    # a name that no column has
     name = "time" if "time" not in table.header else "date_time"
     joined = join_date_parts(table, name) if not lines or "elapsed" in lines[0] else table
-    if name in joined.header and (times := _find_times(joined)) is not None:
+    if joined is not table and (times := _find_times(joined)) is not None:
         parts = tuple(column for column in table.header if column not in joined.header)
         return times._replace(others=(*times.others, *parts))
     if not ranked:
@@ -716,7 +718,7 @@ def _may_be_gps(cells: list[str], words: set[str]) -> bool:
     """Return whether numbers in a column, with these words in its name, may be GPS seconds: as Unix times they are old."""
     numbers = np.array([plain_number(cell) for cell in cells])
     typical_s = float(np.nanmedian(numbers)) if np.isfinite(numbers).any() else 0.0
-    return FIRST_UNIX_S < typical_s < LAST_GPS_S and not words & {"unix", "utc"}
+    return FIRST_UNIX_S < typical_s < LAST_OLD_UNIX_S and not words & {"unix", "utc"}
 
 
 def _gps_weeks(table: TextTable) -> _Times | None:
@@ -813,6 +815,14 @@ def _describe_times(cells: list[str], named: list[str]) -> list[str] | None:
     is_named = bool(words & {*TIME_WORDS}) or in_seconds
     if not is_named or words & {*YEAR_WORDS}:
         return None
+    typical = float(np.median(known))
+    # "tt" and "et" alone may name a temperature, or the time since the start of the file
+    if words & {*TIME_WORDS} == {"j2000"} and words & {"tt", "et"} and typical < LONGEST_S:
+        return None
+    # whole Julian days are no times: their time of day is in another column
+    in_julian_days = bool(words & {"jd", "julian"}) and FIRST_JD < typical < LAST_JD
+    if in_julian_days and (known == np.round(known)).all():
+        return None
     return _describe_counts(known, named)
 
 
@@ -831,7 +841,7 @@ def _describe_counts(known: np.ndarray, named: list[str]) -> list[str]:
     named_s = units_s[-1] if units_s else None
     if named_s is not None and named_s > 1 and named_s * usual_step > MOST_DAYS * 86_400:
         named_s = None
-    may_be_days = in_days and named_s is None
+    may_be_days = in_days and named_s is None and not words & {"uptime", *BOARD_CLOCKS}
     if FIRST_JD < typical < LAST_JD and ("jd" in words or "julian" in words or may_be_days):
         lines = [_entry('time_format = "jd"', "days of the Julian Date; check this: of UTC")]
         if words & {"tt", "tdb", "tai"}:

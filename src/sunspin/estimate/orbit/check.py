@@ -98,7 +98,7 @@ class OrbitCheck:
     @property
     def field_and_sun_disagree(self) -> bool:
         """Return whether angles between field and Sun, too few to refuse the orbit, are far off, and no other axes explain it."""
-        few = self.samples.get("field and Sun", 0) < FEWEST
+        few = FEW_ANGLES <= self.samples.get("field and Sun", 0) < FEWEST
         return few and self.angle_residual_rad > LARGE_ANGLE_RAD and not self.turned_axes
 
     def start(self, orbit: Orbit) -> CalibrationStart | None:

@@ -73,7 +73,8 @@ def choose_orbit(
     lines = [f"{words}; {_satellite_text(summary)}", *(f"  {note}" for note in summary["notes"])]
     if craft.input_noise is None and assessment.has_panels:
         lines += noise_lines(assessment)
-    return ChosenOrbit(used, calibration, {"orbit": summary}, lines, check.field_and_sun_disagree)
+    disagree = used is not None and check.field_and_sun_disagree
+    return ChosenOrbit(used, calibration, {"orbit": summary}, lines, disagree)
 
 
 def _satellite_text(summary: dict[str, Any]) -> str:
