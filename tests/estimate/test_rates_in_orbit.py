@@ -144,16 +144,22 @@ def test_a_field_that_an_orbit_knows_leads_the_search_without_a_sun(case):
     assert max(np.abs(found["pulls"])) < 5
 
 
+def rates_along_right_elements(case, folder, **options):
+    """Return the truth of a simulated spinner, and the result of `rates` along its orbit, without column tests."""
+    truth = spinners.make(case, folder)
+    craft = ss.load_vehicle(folder / "vehicle.toml")
+    assessment = assess(craft, ss.read_telemetry(folder / "telemetry.csv", craft))
+    chosen = choose_orbit(assessment, OrbitFile(folder / "right.tle"), None)
+    around = {"environment": chosen.orbit, "calibration": chosen.calibration}
+    return truth, rates(craft, assessment, column_tests=False, **around, **options)
+
+
 @pytest.mark.long
 @pytest.mark.evidence("rates", "modelled", "a simulated spinner through an eclipse")
 def test_a_slow_rotation_is_found_through_a_long_eclipse(tmp_path):
     """The field turns in space while the Sun is not seen: it was taken for the body, which was decided five sigma off."""
-    truth = spinners.make(spinners.cases(31, 15)[14], tmp_path)
-    craft = ss.load_vehicle(tmp_path / "vehicle.toml")
-    assessment = assess(craft, ss.read_telemetry(tmp_path / "telemetry.csv", craft))
-    chosen = choose_orbit(assessment, OrbitFile(tmp_path / "right.tle"), None)
-    around = {"environment": chosen.orbit, "calibration": chosen.calibration}
-    result = rates(craft, assessment, pass_id=0, column_tests=False, **around)
+    case = spinners.cases(31, 15)[14]
+    truth, result = rates_along_right_elements(case, tmp_path, pass_id=0)
     omega, sigma = printed_rates(result)
     off = omega - np.radians(truth["rates_deg_s"][result.sizes["time"] // 2])
     assert (np.abs(off) < 4 * sigma).all(axis=1).any()
@@ -164,12 +170,8 @@ def test_a_slow_rotation_is_found_through_a_long_eclipse(tmp_path):
 @pytest.mark.evidence("rates", "modelled", "a simulated slow spinner with a magnetometer")
 def test_the_true_motion_is_not_lost_between_the_search_and_the_fit(tmp_path):
     """The fit took half of the field's readings for outliers, and an alias 36 deg/s off was decided."""
-    truth = spinners.make(spinners.cases(71, 7)[6], tmp_path)
-    craft = ss.load_vehicle(tmp_path / "vehicle.toml")
-    assessment = assess(craft, ss.read_telemetry(tmp_path / "telemetry.csv", craft))
-    chosen = choose_orbit(assessment, OrbitFile(tmp_path / "right.tle"), None)
-    around = {"environment": chosen.orbit, "calibration": chosen.calibration}
-    result = rates(craft, assessment, column_tests=False, **around)
+    case = spinners.cases(71, 7)[6]
+    truth, result = rates_along_right_elements(case, tmp_path)
     assert result["decided"].values.all()
     speed = np.linalg.norm(result["omega_B"].values, axis=1)
     true = np.radians(np.linalg.norm(truth["rates_deg_s"], axis=1))

@@ -13,6 +13,7 @@ from sunspin.base.untrusted import plain_number
 from sunspin.telemetry.date_parts import join_date_parts
 from sunspin.telemetry.times import parse_utc, strip_scale
 from sunspin.vehicle import TelemetryForm
+from sunspin.vehicle.craft import DATED_FORMATS
 
 MONTHS = ("jan", "feb", "mar", "apr", "may", "jun", "jul", "aug", "sep", "oct", "nov", "dec")
 """First letters of the English names of the months."""
@@ -148,7 +149,7 @@ def rewrite_dates(form: TelemetryForm, table: TextTable) -> TextTable:
     TelemetryError
         The order of day and month is neither stated nor shown by a date of the file.
     """
-    if form.time_format in ("utc", "gps", "tai", "tt"):
+    if form.time_format in DATED_FORMATS:
         table = join_date_parts(table, form.time_column, form.columns.values())
     cells = table.cells.copy()
     if form.date_column in table.header and form.time_column in table.header:
@@ -157,7 +158,7 @@ def rewrite_dates(form: TelemetryForm, table: TextTable) -> TextTable:
         if all(map(is_compact_date, dates)) and all(map(is_compact_time, times)):
             times = [pad_time(time) for time in times]
         cells[form.time_column] = dates.str.strip() + " " + times
-    columns = [form.time_column] if form.time_format in ("utc", "gps", "tai", "tt") else []
+    columns = [form.time_column] if form.time_format in DATED_FORMATS else []
     if form.receive_time_column is not None and form.receive_time_format == "utc":
         columns.append(form.receive_time_column)
     for name in columns:

@@ -673,9 +673,8 @@ def _read_atomic(form: TelemetryForm, table: TextTable) -> np.ndarray:
     Cells are seconds, or seconds of the week with a column of GPS weeks, or dates in that time scale; of TT dates only.
     """
     scale = form.time_format.upper()
-    ahead_s = {"GPS": TAI_AHEAD_OF_GPS_S, "TAI": 0.0, "TT": -TT_AHEAD_OF_TAI_S}[
-        scale
-    ]  # TAI - scale
+    tai_ahead_s = {"GPS": TAI_AHEAD_OF_GPS_S, "TAI": 0.0, "TT": -TT_AHEAD_OF_TAI_S}
+    ahead_s = tai_ahead_s[scale]
     cells = table.cells[form.time_column].tolist()
     cells = [strip_scale(cell, form.time_format) for cell in cells]
     has_numbers = bool(np.isfinite([plain_number(cell) for cell in cells]).any())

@@ -78,6 +78,10 @@ Rollovers = Annotated[
 ]
 
 
+DATED_FORMATS = ("utc", "gps", "tai", "tt")
+"""Values of `time_format` whose times may be dates."""
+
+
 @part
 class TelemetryForm(Part):
     """Format of this vehicle's telemetry: columns, units, clock, noise. See the file that `sunspin init` writes.
@@ -176,7 +180,7 @@ class TelemetryForm(Part):
             if getattr(self, key) is not None and self.time_format != needed:
                 what = f'telemetry.{key} needs time_format = "{needed}"'
                 raise VehicleError(what, got=self.time_format, do="set it, or leave the key out")
-        if self.date_column is not None and self.time_format not in ("utc", "gps", "tai", "tt"):
+        if self.date_column is not None and self.time_format not in DATED_FORMATS:
             what = "telemetry.date_column needs times of day in the time column"
             do = 'set time_format = "utc", or leave the key out'
             raise VehicleError(what, got=self.time_format, do=do)

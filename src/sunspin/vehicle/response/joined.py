@@ -363,7 +363,8 @@ class JoinedResponse(PanelResponse):
         """Return the end (3) of an arc of directions from `begin` (3) on, in which the readings of the inputs have the same ratios.
 
         It is a great circle from plane to plane. It ends where other inputs than `lit` have light, or after half a revolution. The
-        `sign` (1 or -1) chooses the sense."""
+        `sign` (1 or -1) chooses the sense.
+        """
         planes, sun = self._planes, begin
         along, remaining = sign * self._free_tangent(begin, lit), np.pi  # unit tangent, angle (rad)
         while True:
