@@ -34,6 +34,17 @@ def test_texts_in_a_table_hold_no_separator(tmp_path):
     assert names == frame["name"].tolist()  # the table itself is as it was
 
 
+def test_times_far_from_their_epoch_keep_their_digits(tmp_path):
+    """Days of a spreadsheet count from 1899, ephemeris time from 2000: nine digits are 10 s and 1 s."""
+    time = [3982629600.25, 826783200.125, np.nan]
+    frame = pd.DataFrame({"time_s": time, "speed_rad_s": [1 / 3, 1e-9, 2.0]})
+    (tmp_path / "t.csv").write_text(table_text(Table("t", frame), False), "utf-8")
+    cells, read = columns(tmp_path / "t.csv")
+    np.testing.assert_array_equal(cells["time_s"], time)
+    np.testing.assert_array_equal(read["time_s"], time)
+    np.testing.assert_allclose(read["speed_rad_s"], frame["speed_rad_s"], rtol=1e-8)
+
+
 def test_sentences_in_a_table_keep_their_commas_in_quotation_marks():
     frame = pd.DataFrame({"sentence": ["first, second"]})
     assert table_text(Table("t", frame, prose=True), False) == 'sentence\n"first, second"\n'

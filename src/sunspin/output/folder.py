@@ -38,6 +38,9 @@ MANIFEST = "manifest.json"
 MAX_JSON_BYTES = 20_000_000
 """Largest manifest that is read."""
 
+LARGE_TIME_S = 1e5
+"""From so many seconds on, nine digits of a time in a CSV file would show less than 0.1 ms."""
+
 LARGEST_SVG_BYTES = 1_000_000
 """Largest SVG that a page shows; for a larger one it shows the PNG."""
 
@@ -249,13 +252,20 @@ def write_manifest(folder: Path, summary: dict[str, Any], contents: Contents) ->
 def table_text(table: Table, synthetic: bool) -> str:
     """Return a table as CSV text that `numpy.genfromtxt` and `pandas.read_csv` read: the header first, comments last.
 
-    Texts become plain cells, without commas and quotes, unless they are prose.
+    Texts become plain cells, without commas and quotes, unless they are prose. Numbers have nine digits, and times far from their
+    epoch as many as they need for 0.1 ms.
     """
     comments = ["synthetic telemetry"] if synthetic else []
     comments += [table.comment] if table.comment else []
     texts = table.frame.select_dtypes(exclude="number")
     plain_texts = {} if table.prose else {name: texts[name].map(plain_cell) for name in texts}
-    text = table.frame.assign(**plain_texts).to_csv(index=False, float_format="%.9g")
+    long_times = {
+        name: column.map(lambda seconds: f"{seconds:.14g}", na_action="ignore")
+        for name, column in table.frame.select_dtypes("float").items()
+        if str(name).endswith("_s") and (column.abs() >= LARGE_TIME_S).any()
+    }
+    frame = table.frame.assign(**plain_texts, **long_times)
+    text = frame.to_csv(index=False, float_format="%.9g")
     return text + "".join(f"# {comment}\n" for comment in comments)
 
 
