@@ -22,6 +22,7 @@ from sunspin.telemetry.restarts import (
 )
 from sunspin.telemetry.times import parse_utc
 from sunspin.telemetry.timescales import leap_seconds_between, tai_ahead, utc_of_tai
+from sunspin.vehicle.craft import LOCAL_FORMATS
 from sunspin.vehicle.file import parse_vehicle
 
 VEHICLE = """
@@ -453,8 +454,64 @@ def test_tai_is_read_as_seconds_from_1958_or_as_dates(tmp_path):
     for cells in (seconds, [f"{each:%Y-%m-%dT%H:%M:%S}" for each in moments]):
         data = read(tmp_path, cells, form, "refuse")
         np.testing.assert_allclose(utc(data), START + np.arange(3), rtol=0, atol=1e-5)
+    dates = ["2026-01-01T00:00:37Z", "2026-01-01T00:00:38Z"]
     with pytest.raises(ss.TelemetryError, match="TAI time without a zone"):
-        read(tmp_path, ["2026-01-01T00:00:37Z", "2026-01-01T00:00:38Z"], form)
+        read(tmp_path, dates, form)
+
+
+@pytest.mark.parametrize(
+    ("name", "scale", "ahead_s"), [("time_tai", "tai", 37), ("t (TDB)", "tt", 69.184)]
+)
+def test_dates_with_Z_in_a_column_named_after_TAI_or_TDB_are_named_and_read_as_stated(
+    name, scale, ahead_s, tmp_path
+):
+    """Only `init` named them; times were 37 and 69 s late, and the time scale could not be stated."""
+    path = tmp_path / "t.csv"
+    date = datetime.fromtimestamp(START + ahead_s, UTC).isoformat().replace("+00:00", "Z")
+    path.write_text(f"{name},pa,pb\n{date},1,0\n", "utf-8")
+    text = VEHICLE.replace('"t"', f'"{name}"')
+    data = ss.read_telemetry(path, parse_vehicle(text.format(form="", bad_rows="flag"), "v.toml"))
+    assert f'times are {ahead_s:.0f} s late; set time_format = "{scale}"' in notes(data)
+    form = f'time_format = "{scale}"'
+    data = ss.read_telemetry(path, parse_vehicle(text.format(form=form, bad_rows="flag"), "v.toml"))
+    assert data.attrs["epoch_utc"] == "2026-01-01T00:00:00Z" and "clock_notes" not in data.attrs
+
+
+COUNTED = {
+    "excel": (46023.0, 1 / 86400),
+    "mjd": (61041.0, 1 / 86400),
+    "datenum": (739983.0, 1 / 86400),
+    "labview": (3850070400.0, 1.0),
+    "ntp": (3976214400.0, 1.0),
+    "filetime": (134116992000000000, 10**7),
+    "ticks": (639028224000000000, 10**7),
+}
+"""1 January 2026 as Excel, MATLAB, LabVIEW, NTP, Windows and .NET count, and counts in a second."""
+
+
+@pytest.mark.parametrize("key", COUNTED)
+def test_counts_of_other_programs_are_read_and_named(key, tmp_path):
+    """100 ns were read as Unix nanoseconds, so that all rates were 100 times too large; the others as Unix times without a word."""
+    zero, second = COUNTED[key]
+    cells = [
+        f"{zero + 10 * k * second:.9f}" if second < 1e7 else f"{zero + 10 * k * second:d}"
+        for k in range(5)
+    ]
+    stated = read(tmp_path, cells, f'time_format = "{key}"')
+    np.testing.assert_allclose(utc(stated), START + 10 * np.arange(5), atol=1e-3)
+    with pytest.raises(TelemetryError, match=f'set time_format = .*"{key}" for .*2026'):
+        read(tmp_path, cells, 'time_format = "utc"')
+    unix = read(tmp_path, cells, 'time_format = "unix"')
+    assert f'"{key}"' in notes(unix)
+    assert (second < 1e7) or np.allclose(utc(unix), utc(stated))
+    if key in LOCAL_FORMATS:
+        local = read(tmp_path, cells, f'time_format = "{key}"\ntime_zone = "Europe/Berlin"')
+        np.testing.assert_allclose(utc(local), utc(stated) - 3600, atol=1e-3)
+    # as Unix times these are right, also after a reset to 1970
+    for first in (START, START + 0.5e9, zero % 3e6):
+        assert not read(tmp_path, first + 10 * np.arange(5.0), 'time_format = "unix"').attrs.get(
+            "clock_notes"
+        )
 
 
 def test_times_increase_through_a_leap_second():
@@ -734,6 +791,11 @@ def test_a_short_counter_that_overflows_twice_goes_on_and_one_fall_is_a_reset(tm
     assert "after 4096 counts at line 23, 2 times in all" in notes(data)
     with pytest.raises(TelemetryError, match="a clock that was reset"):
         read(tmp_path, true[:40] % 4096, form)
+    # a counter of 15 bits that goes on to the second: one reset in 10 000 looks like this
+    once = np.arange(60) * 10 + 32768 - 305
+    np.testing.assert_array_equal(read(tmp_path, once % 32768, form)["time"], once)
+    reset = [*once[:31], *range(36, 300, 10)]  # 30 s late
+    assert "overflow" not in notes(read(tmp_path, reset, form))
 
 
 def test_a_reset_after_a_minute_is_no_overflow_of_a_counter_of_milliseconds(tmp_path):
@@ -765,7 +827,7 @@ def test_dates_in_TT_and_Julian_Dates_are_read_as_UTC(tmp_path):
         np.testing.assert_allclose(data["time"], [0, 10], atol=1e-3)
     with pytest.raises(TelemetryError, match='for seconds set time_format = "elapsed" and epoch'):
         read(tmp_path, [820497669.184], 'time_format = "tt"')
-    with pytest.raises(TelemetryError, match="Julian Dates are expected, such as 2461072.5"):
+    with pytest.raises(TelemetryError, match="Julian Date are expected, such as 2461072.5"):
         read(tmp_path, ["2026-01-01"], 'time_format = "jd"')
 
 

@@ -19,6 +19,9 @@ from sunspin.base.errors import SunspinError
 from sunspin.cli import cli
 
 TEMPLATE = resources.files("sunspin").joinpath("template")
+MIDSUMMER = 1782000000
+"""2026-06-21T00:00:00Z as Unix time."""
+
 FACES = {"px": "+X", "mx": "-X", "py": "+Y", "my": "-Y", "pz": "+Z"}
 
 STYLES = {
@@ -228,9 +231,12 @@ def test_temperatures_below_zero_are_no_angles(folder):
         ("17672256{:02d}", ['time_format = "unix"']),
         ("17672256{:02d}000", ['time_format = "unix"', "time_scale_s = 0.001"]),
         ("1{:02d}", ['time_format = "elapsed"', "REPLACE by the UTC of time zero"]),
-        ("61071.000{:02d}", ['epoch_utc = "1858-11-17T00:00:00Z"', "time_scale_s = 86400"]),
+        ("61071.000{:02d}", ['time_format = "mjd"']),
+        ("740013.500{:02d}", ['time_format = "datenum"']),
+        ("6390000000{:02d}000000", ['time_format = "ticks"']),
+        ("1341000000{:02d}000000", ['time_format = "filetime"']),
         ("2026/01/01 00:00:{:02d} UTC", ['time_format = "utc"']),
-        ("46023.000{:02d}", ['epoch_utc = "1899-12-30T00:00:00Z"', "time_scale_s = 86400"]),
+        ("46023.000{:02d}", ['time_format = "excel"']),
         ("31/01/2026 00:00:{:02d}", ['time_format = "utc"', "day_first = true"]),
         ("03/01/2026 00:00:{:02d}", ["day_first = true ", "# check this"]),
         ("20260131,300{:02d}", ['time_format = "elapsed"', 'time_column = "timestamp"']),
@@ -311,17 +317,27 @@ def test_columns_of_other_readings_of_a_panel_are_no_currents(name, folder):
 
 
 @pytest.mark.parametrize(
-    ("header", "what", "do"),
+    ("name", "zero", "time_format"),
     [
-        ("time,iXp [cnt; mA = 0.12*N],iXm [cnt; mA = 0.12*N]", "its unit is not known", "scale"),
-        ("datenum,iXp,iXm", "'datenum' may hold days from long before our era", "datenum - 678942"),
+        ("ntp_time", MIDSUMMER + 2208988800, "ntp"),
+        ("labview time", MIDSUMMER + 2082844800, "labview"),
+        ("datenum", MIDSUMMER / 86400 + 719529, "datenum"),
     ],
 )
-def test_units_and_days_that_are_not_known_are_named(header, what, do, folder):
-    time = "740013.5" if header[0] == "d" else "2026-01-01"
-    (folder / "export.csv").write_text(f"{header}\n{time},20,30\n", "utf-8")
+def test_counts_are_dated_by_the_name_of_their_program(name, zero, time_format, folder):
+    (folder / "export.csv").write_text(f"{name},iXp,iXm\n{zero},20,30\n", "utf-8")
+    assert CliRunner().invoke(cli, ["init", "mine", "--from", "export.csv"]).exit_code == 0
+    craft = ss.load_vehicle(folder / "mine" / "vehicle.toml")
+    assert craft.telemetry.time_format == time_format
+    data = ss.read_telemetry(folder / "export.csv", craft)
+    assert data.attrs["epoch_utc"] == "2026-06-21T00:00:00Z"
+
+
+def test_units_that_are_not_known_are_named(folder):
+    header = "time,iXp [cnt; mA = 0.12*N],iXm [cnt; mA = 0.12*N]"
+    (folder / "export.csv").write_text(f"{header}\n2026-01-01,20,30\n", "utf-8")
     done = CliRunner().invoke(cli, ["init", "mine", "--from", "export.csv"])
-    assert what in str(done.exception) and do in str(done.exception)
+    assert "its unit is not known" in str(done.exception) and "scale" in str(done.exception)
 
 
 def test_a_counter_of_milliseconds_since_the_start_is_no_unix_time(folder):
@@ -465,10 +481,6 @@ def test_the_unit_in_the_name_of_elapsed_times_is_read(name, scale, folder):
     (folder / "export.csv").write_text(f"{name},iXp,iXm\n{rows}", "utf-8")
     printed = check_is_refused("vehicle.toml", "export.csv")
     assert re.findall(r"time_scale_s = (\S+)", printed) == ([] if scale is None else [f"{scale:g}"])
-
-
-MIDSUMMER = 1782000000
-"""2026-06-21T00:00:00Z as Unix time."""
 
 
 @pytest.mark.parametrize(

@@ -45,9 +45,9 @@ MEASURED = "measured"
 HELD = "held at the nominal speed"
 COASTING = "coasting from the nominal speed at the first sample"
 
-TIME_UNITS_S, NEAR_UNIT = (1.0, 0.1), 1e-3
-"""Units to which times may have been rounded, s, the coarsest first; and tolerance of multiples, in units: the last digit of
-milliseconds may be lost on the way."""
+TIME_UNITS_S, NEAR_UNIT = (1.0, 0.864, 0.1, 0.0864), 1e-3
+"""Units to which times may have been rounded, s, the coarsest first: seconds, days with five digits after the point, tenths, days
+with six; and tolerance of multiples, in units: the last digit of milliseconds may be lost on the way."""
 
 COAST_FROM = "coast_from_s"
 """Attribute of samples that were cut out of a file: time of the file's first sample, from which its wheels may coast."""

@@ -450,7 +450,7 @@ def rates_words(result: xr.Dataset) -> str:
     # the turn (rad) in one sigma of a rounded time
     if fastest * unit / np.sqrt(12) > SearchSettings.least_drift_rad:
         notes.append(
-            f"times are multiples of {unit:.1g} s at uneven intervals: they count as rounded, with an error that every sigma "
+            f"times are multiples of {unit:.3g} s at uneven intervals: they count as rounded, with an error that every sigma "
             "includes; times with more digits give smaller sigmas"
         )
     return "\n".join(notes)

@@ -37,7 +37,22 @@ from sunspin.telemetry.layout import pivot_series
 from sunspin.telemetry.noise import find_wrapped_counts
 from sunspin.telemetry.sensors import read_numbers
 from sunspin.telemetry.times import advise_on_time, parse_utc, strip_scale, zone_of_name
-from sunspin.telemetry.timescales import J2000_UTC, WEEK_S, WEEKS_TO_ROLLOVER
+from sunspin.telemetry.timescales import (
+    COUNTS,
+    FIRST_UNIX_S,
+    FIRST_YEAR,
+    J2000_UTC,
+    LAST_CLOCK_S,
+    LAST_YEAR,
+    MOST_DAYS,
+    TIME_SCALES,
+    WEEK_S,
+    WEEKS_TO_ROLLOVER,
+    YEAR_S,
+    counts_in_words,
+    likely_counts,
+)
+from sunspin.vehicle.craft import LOCAL_FORMATS
 
 PLUS = ("+", "p", "pos", "plus", "positive")
 """Words for the plus side of an axis; the other signs of `FACE` are those of its minus side."""
@@ -115,7 +130,7 @@ MILLI = 30.0
 
 TIME_WORDS = ("time", "timestamp", "date", "datetime", "utc", "unix", "epoch", "uptime", "ts", "t")
 TIME_WORDS += ("stamp", "met", "obt", "sclk", "scet", "mjd", "jd", "julian")
-TIME_WORDS += ("cuc", "tai", "gpst", "j2000")
+TIME_WORDS += ("cuc", "tai", "gpst", "j2000", "ntp", "datenum", "filetime", "ticks")
 """Words in the name of a time column, the likeliest first."""
 
 SECOND_WORDS = ("s", "sec", "secs", "second", "seconds", "coarse", "tv")
@@ -130,11 +145,6 @@ LAST_OLD_UNIX_S = 1.5e9
 BOARD_CLOCKS = ("obt", "sclk", "scet", "met", "spacecraft", "sc", "onboard")
 """Words in the name of a time column of a clock on board, whose time zero the mission sets."""
 
-TIME_SCALES = {"gps": "gps", "gpst": "gps", "tai": "tai", "tt": "tt", "tdb": "tt"}
-"""Words in the name of a time column -> the `time_format` of its time scale."""
-
-YEAR_S = 365.25 * 86_400.0
-
 TT_1970_UTC = "1969-12-31T23:59:17.816Z"
 """1 January 1970, 00:00 TT, 42.184 s ahead of UTC as of 1972."""
 
@@ -146,17 +156,11 @@ CUC_EPOCHS = {
 }
 """Years from which CUC counts seconds -> the entry that reads them."""
 
-FIRST_YEAR, LAST_YEAR = 2000, 2032
-"""Years of telemetry in files whose epoch is not known."""
-
 LAST_GPS_S = 1.6e9
 """Largest number of a clock on board that may be GPS seconds, then in 2030; as Unix time it is of 2020."""
 
 FIRST_JD, LAST_JD = 2_440_000.0, 2_470_000.0
 """Days of the Julian Date from 1968 to 2050."""
-
-DAY_COUNTS = ("datenum",)
-"""Words in the name of a column of days from an instant before the calendar of `epoch_utc`."""
 
 YEAR_WORDS = ("year", "years", "yr", "doy")
 """Words in the name of a column whose numbers are years, or days in one: no times that can be read."""
@@ -197,14 +201,11 @@ SENSOR_UNITS = {
 }
 """Table of the vehicle file -> unit in small letters -> its size in rad/s or T."""
 
-FIRST_UNIX_S, LAST_UNIX_S = 9e8, 5e9
-"""Unix times of satellites with such telemetry, s: from 1998 to 2128."""
+LAST_UNIX_S = 5e9
+"""Largest number of seconds that is taken for a Unix time, of 2128; times after `LAST_CLOCK_S` are named."""
 
-LAST_CLOCK_S = 2.0**31
-"""Unix time of 2038: times beyond are named, as they may be counts from another epoch."""
-
-FIRST_DAY, LAST_DAY, MOST_DAYS = 35_000.0, 50_000.0, 0.05
-"""Days of a spreadsheet from 1995 to 2036, and the largest interval of samples: as seconds it would be shorter than any."""
+FIRST_DAY, LAST_DAY = 35_000.0, 50_000.0
+"""Days of a spreadsheet from 1995 to 2036."""
 
 LAST_MJD = 65_000.0
 """Days of the Modified Julian Date from 1995 to 2036 follow up to here; below `FIRST_DAY` they count from 2000 (MJD2000)."""
@@ -377,12 +378,6 @@ def explain_missing(table: TextTable) -> tuple[str, str]:
             what = f"column {column[:60]!r} may be of a panel, but its unit is not known"
             return what, "write a [telemetry] section by hand, with quantity, scale and zero"
     for column in [] if has_times else table.header:
-        if _words_of(_words(column)) & {*DAY_COUNTS}:
-            what = f"column {column!r} may hold days from long before our era, which are not read"
-            return (
-                what,
-                "write dates such as 2026-01-31T23:59:59Z, or days as MJD: datenum - 678942",
-            )
         is_named = bool(_words_of(_words(column)) & set(TIME_WORDS))
         if is_named and (cell := _unreadable_cell(table, column)):
             what = (
@@ -867,18 +862,21 @@ def _describe_counts(known: np.ndarray, named: list[str]) -> list[str]:
             _entry("counts_leap_seconds = true", ""),
         ]
     is_mjd = "mjd" in words or (LAST_DAY <= typical < LAST_MJD and in_days)
-    if is_mjd or (FIRST_DAY < typical < LAST_DAY and in_days):
-        count, zero = "days since 1899-12-30, as in spreadsheets", "1899-12-30"
-        if is_mjd:
-            count, zero = "days of the Modified Julian Date", "1858-11-17"
-            if typical < FIRST_DAY:
-                count, zero = "days of the Modified Julian Date from 2000", "2000-01-01"
+    if "mjd" in words and typical < FIRST_DAY:
         return [
-            _entry('time_format = "elapsed"', count),
-            _entry(f'epoch_utc = "{zero}T00:00:00Z"', "check this: or local time"),
+            _entry('time_format = "elapsed"', "days of the Modified Julian Date from 2000"),
+            _entry('epoch_utc = "2000-01-01T00:00:00Z"', "check this: or local time"),
             _entry("time_scale_s = 86400", "days"),
             _entry("counts_leap_seconds = false", ""),
         ]
+    counts = ["mjd"] if is_mjd else ["excel"] * (FIRST_DAY < typical < LAST_DAY and in_days)
+    for key in likely_counts(typical):
+        is_sure = key in words or COUNTS[key].unit_s < 1 or (key == "datenum" and may_be_days)
+        counts += [key] if is_sure and named_s in (None, COUNTS[key].unit_s) else []
+    if counts:
+        or_local = ": or local time, with time_zone" if counts[0] in LOCAL_FORMATS else ""
+        what = f"{COUNTS[counts[0]].what}; check this{or_local}"
+        return [_entry(f'time_format = "{counts[0]}"', what)]
     if "cuc" in words and (lines := _describe_cuc(typical * (named_s or 1.0))):
         scaled = [_entry(f"time_scale_s = {named_s:g}", UNIT_NAMES[named_s])] if named_s else []
         return [*lines, *(scaled if named_s != 1 else [])]
@@ -945,9 +943,9 @@ def _describe_large_count(typical_s: float, unit: str, words: set[str]) -> list[
     if words & {"gps", "gpst", "tai", "unix", "utc"}:
         return lines
     if typical_s > LAST_CLOCK_S:
-        lines.append(
-            f"# check time_format: as Unix times these are of {year}; other counts begin in 1900, 1904 or 1958"
-        )
+        likely = likely_counts(typical_s) if unit == UNIT_NAMES[1.0] else {}
+        others = f"for others set {counts_in_words(likely)}" if likely else "TAI begins in 1958"
+        lines.append(f"# check time_format: as Unix times these are of {year}; {others}")
     elif words & {*BOARD_CLOCKS} and typical_s < LAST_GPS_S:
         lines.append(
             f"# check time_format: as Unix times these are of {year}, by their size only; a clock on board that counts from 1980 "

@@ -26,14 +26,23 @@ from sunspin.telemetry.restarts import (
     has_live_rows,
 )
 from sunspin.telemetry.timescales import (
+    COUNTS,
+    DAY_S,
+    FIRST_UNIX_S,
     GPS_ZERO_S,
     J2000_UTC,
+    LAST_CLOCK_S,
+    MOST_DAYS,
     TAI_AHEAD_OF_GPS_S,
     TAI_ZERO_S,
+    TIME_SCALES,
     TT_AHEAD_OF_TAI_S,
     UNIX_ZERO,
     WEEK_S,
     WEEKS_TO_ROLLOVER,
+    YEAR_S,
+    counts_in_words,
+    likely_counts,
     tai_ahead,
     utc_of_tai,
 )
@@ -42,11 +51,6 @@ from sunspin.vehicle.timeline import parse_instant, parse_zone, utc_after
 
 LATEST_UNIX_S = 1e11
 """Largest number of seconds (about 3000 years) that is accepted as a time."""
-
-DAY_S = 86_400.0
-
-UNIX_ZERO_JD = 2_440_587.5
-"""Julian Date of 1 January 1970."""
 
 DECADES_S = 5 * 365.25 * DAY_S
 """Rows more than five years from all others were dated by a clock that was reset: no mission pauses for so long."""
@@ -64,10 +68,16 @@ OVERFLOWS = tuple(2**bits for bits in range(8, 33))
 """Counts after which a counter of elapsed time begins again at zero."""
 
 SURE_OVERFLOW = 2**16
-"""Smaller counts are taken as overflows only if there are two: a clock that was reset may have stood near one of them."""
+"""Smaller counts are taken as overflows if there are two, or by `RARE_RESET`: a clock that was reset may have stood near one."""
+
+RARE_RESET = 1 / 2000
+"""Smaller counts are taken as overflows if a reset would be followed by a usual interval as rarely as this."""
 
 OVERFLOW_INTERVALS = 3.0
 """A counter has overflowed if with the added counts the row follows the one before within so many usual intervals."""
+
+AHEAD_OF_SCALE_S = {"gps": TAI_AHEAD_OF_GPS_S, "tai": 0.0, "tt": -TT_AHEAD_OF_TAI_S}
+"""TAI minus each time scale, s."""
 
 NO_ZONE = "times name no zone: taken as UTC"
 ZONES = {
@@ -243,20 +253,31 @@ def _read_seconds(form: TelemetryForm, table: TextTable, kind: str) -> np.ndarra
     numbers = np.array([plain_number(cell) for cell in table.cells[form.time_column]])
     numbers = numbers * form.time_scale_s
     if (bad := ~(np.abs(numbers) <= LATEST_UNIX_S)).any():
+        row = int(bad.argmax())
         do = "correct it, or set time_format under [telemetry] in the vehicle file"
-        raise _cell_error(table, form.time_column, int(bad.argmax()), f"{kind} are expected", do)
+        if likely := likely_counts(plain_number(table.cells[form.time_column].iat[row])):
+            do = f"correct it, or set {counts_in_words(likely)} under [telemetry]"
+        raise _cell_error(table, form.time_column, row, f"{kind} are expected", do)
     return numbers
 
 
 def _read_unix(form: TelemetryForm, table: TextTable) -> tuple[np.ndarray, list[str]]:
     """Read Unix times (n, s), and say if they are counted in ms, us or ns: as seconds they would lie thousands of years ahead.
 
-    A unit that the vehicle file states (`time_scale_s`) is not changed.
+    FILETIME and ticks of .NET are read as such. Numbers that may be seconds or days from another instant are named. A unit that the
+    vehicle file states (`time_scale_s`) is not changed.
     """
     numbers = np.abs([plain_number(cell) for cell in table.cells[form.time_column]])
     typical = float(np.nanmedian(numbers)) if np.isfinite(numbers).any() else 0.0
-    if form.time_scale_s != 1.0 or typical <= LATEST_UNIX_S:
+    if form.time_scale_s != 1.0:
         return _read_seconds(form, table, "Unix seconds"), []
+    if typical <= LATEST_UNIX_S:
+        seconds = _read_seconds(form, table, "Unix seconds")
+        return seconds, _name_other_counts(seconds)
+    for key in likely_counts(typical):  # as Unix times in ns they would be of 1974 or 1990
+        form = replace(form, time_format=key)
+        note = f'times taken as {COUNTS[key].what} by their size (time_format = "{key}")'
+        return _read_counts(form, table), [note]
     for unit, scale in {"milliseconds": 1e-3, "microseconds": 1e-6, "nanoseconds": 1e-9}.items():
         if typical * scale <= LATEST_UNIX_S:
             form = replace(form, time_scale_s=scale)
@@ -265,15 +286,31 @@ def _read_unix(form: TelemetryForm, table: TextTable) -> tuple[np.ndarray, list[
     return _read_seconds(form, table, "Unix seconds"), []
 
 
-def _read_julian_dates(form: TelemetryForm, table: TextTable) -> np.ndarray:
-    """Read Julian Dates of UTC as s from 1970 (n), to 0.1 ms."""
-    days = np.array([plain_number(cell) for cell in table.cells[form.time_column]])
-    seconds = (days - UNIX_ZERO_JD) * DAY_S
+def _name_other_counts(seconds: np.ndarray) -> list[str]:
+    """Return a sentence if numbers (n) that were read as Unix seconds may be seconds or days from another instant than 1970."""
+    typical, steps = float(np.median(seconds)), np.abs(np.diff(seconds))
+    likely = {} if FIRST_UNIX_S < typical < LAST_CLOCK_S else likely_counts(typical)
+    if steps.any() and float(np.median(steps[steps > 0])) > MOST_DAYS:
+        likely = {key: year for key, year in likely.items() if COUNTS[key].unit_s < DAY_S}
+    if not likely:
+        return []
+    year = 1970 + int(typical / YEAR_S)
+    return [
+        f"as Unix times these are of {year}: if not, set {counts_in_words(likely)} under [telemetry]"
+    ]
+
+
+def _read_counts(form: TelemetryForm, table: TextTable) -> np.ndarray:
+    """Read Julian Dates and other `COUNTS` of UTC as s from 1970 (n), to 0.1 ms."""
+    count = COUNTS[form.time_format]
+    numbers = np.array([plain_number(cell) for cell in table.cells[form.time_column]])
+    seconds = count.unix_s(numbers)
     if (bad := ~(np.abs(seconds) <= LATEST_UNIX_S)).any():
-        what = "Julian Dates are expected, such as 2461072.5"
+        example = f"{(1_769_904_000 - count.zero_s) / count.unit_s:.1f}".removesuffix(".0")
+        what = f"{count.what} are expected, such as {example} (1 February 2026)"
         do = "correct it, or set time_format under [telemetry] in the vehicle file"
         raise _cell_error(table, form.time_column, int(bad.argmax()), what, do)
-    return np.round(seconds, 4)
+    return seconds
 
 
 def _read_elapsed(
@@ -329,7 +366,8 @@ def _unwrap_uptime(
         full_s = count * form.time_scale_s
         new_steps = steps + full_s
         over = (new_steps > max(shortest_s, 0.0)) & (new_steps <= longest_s)
-        is_sure = over.sum() > (0 if count >= SURE_OVERFLOW else 1)
+        is_rare = (longest_s - max(shortest_s, 0.0)) < RARE_RESET * full_s
+        is_sure = over.sum() > (0 if count >= SURE_OVERFLOW or is_rare else 1)
         # the rest must be in order: the counter would not fall otherwise
         if is_sure and (steps[~over] >= 0).all() and uptime.min() >= 0 and uptime.max() < full_s:
             added = full_s * np.cumsum(np.concatenate([[0], over]))
@@ -475,8 +513,12 @@ def _read_calendar(
     else:
         if form.time_format == "unix":
             seconds, notes = _read_unix(form, table)
-        elif form.time_format == "jd":
-            seconds, notes = _read_julian_dates(form, table), []
+        elif form.time_format in COUNTS:
+            seconds, notes = _read_counts(form, table), []
+            if form.time_zone is not None:
+                micro, bare = np.round(seconds * 1e6).astype(np.int64), np.ones(len(seconds), bool)
+                micro, notes = _convert_local_times(form, table, micro, bare)
+                seconds = micro / 1e6
         else:
             seconds, notes = _read_atomic(form, table), []
         epoch = fixed or UNIX_ZERO + timedelta(seconds=float(seconds[0]))
@@ -567,7 +609,23 @@ def _read_utc(form: TelemetryForm, table: TextTable) -> tuple[np.ndarray, bool, 
     elif bare.any():
         n = int(bare.sum())
         notes = [f"{'1 time names' if n == 1 else f'{n} times name'} no zone: taken as UTC"]
-    return micro, bool(bare.all()), notes
+    return micro, bool(bare.all()), [*notes, *_name_other_scale(form.time_column, micro)]
+
+
+def _name_other_scale(name: str, micro: np.ndarray) -> list[str]:
+    """Return a sentence if the name of a column of dates (n, microseconds from 1970) says TAI, TT or TDB.
+
+    It may also say GPST; "gps" alone also names receivers, and these print UTC.
+    """
+    words = [word for word in re.findall("[a-z]+", name.lower()) if word in TIME_SCALES]
+    if not words or words[0] == "gps":
+        return []
+    scale = TIME_SCALES[words[0]]
+    ahead_s = float(tai_ahead(float(np.median(micro)) / 1e6)) - AHEAD_OF_SCALE_S[scale]
+    return [
+        f"dates are read as UTC, and the name of column {name!r} says {words[0].upper()}: if so, all times are {ahead_s:.0f} s "
+        f'late; set time_format = "{scale}" under [telemetry]'
+    ]
 
 
 def _convert_local_times(
@@ -673,10 +731,13 @@ def _read_atomic(form: TelemetryForm, table: TextTable) -> np.ndarray:
     Cells are seconds, or seconds of the week with a column of GPS weeks, or dates in that time scale; of TT dates only.
     """
     scale = form.time_format.upper()
-    tai_ahead_s = {"GPS": TAI_AHEAD_OF_GPS_S, "TAI": 0.0, "TT": -TT_AHEAD_OF_TAI_S}
-    ahead_s = tai_ahead_s[scale]
+    ahead_s = AHEAD_OF_SCALE_S[form.time_format]
     cells = table.cells[form.time_column].tolist()
     cells = [strip_scale(cell, form.time_format) for cell in cells]
+    words = re.findall("[a-z]+", form.time_column.lower())
+    if any(TIME_SCALES.get(word) == form.time_format for word in words):
+        # vehicle file and name agree: programs append Z to any date
+        cells = [cell.removesuffix("Z") for cell in cells]
     has_numbers = bool(np.isfinite([plain_number(cell) for cell in cells]).any())
     if form.week_column is None and (scale == "TT" or not has_numbers):
         moments = [parse_utc(cell) for cell in cells]
@@ -791,17 +852,18 @@ def _find_misdated(time: np.ndarray, epoch: datetime) -> tuple[np.ndarray, list[
 def _advise_on_cell(cell: str) -> str:
     """Return advice on a cell that is not a date in UTC."""
     size = abs(plain_number(cell))
-    if size > LATEST_UNIX_S:
-        return 'if it is Unix time in ms, us or ns, set time_format = "unix" under [telemetry]'
-    if abs(size - UNIX_ZERO_JD) < 40_000:
-        return (
-            'if it is a Julian Date, set time_format = "jd" under [telemetry] in the vehicle file'
-        )
     if np.isfinite(size):
-        return (
-            'if it is in seconds, set time_format = "unix" (since 1970), "gps", "tai" or "elapsed" under [telemetry] in the '
-            "vehicle file"
-        )
+        likely = likely_counts(size)
+        advice = f"set {counts_in_words(likely)} under [telemetry]" if likely else ""
+        other = 'if it is Unix time in ms, us or ns, set time_format = "unix" under [telemetry]'
+        if size <= LATEST_UNIX_S:
+            other = (
+                'if it is in seconds, set time_format = "unix" (since 1970), "gps", "tai" or "elapsed" under [telemetry] in the '
+                "vehicle file"
+            )
+        elif likely:  # a time in 100 ns, which is no Unix time
+            return advice
+        return f"{advice}; {other}" if likely else other
     return advise_on_time(cell) or (
         "write it as 2026-01-31T23:59:59Z, or set time_format under [telemetry] in the vehicle file"
     )

@@ -1,9 +1,10 @@
-"""Conversion of GPS time and TAI to UTC with the table of leap seconds that ERFA contains."""
+"""Conversion of GPS time and TAI to UTC with the table of leap seconds of ERFA, and counts of days, seconds and ticks."""
 
 from __future__ import annotations
 
 from datetime import UTC, datetime
 from functools import cache
+from typing import NamedTuple
 
 import numpy as np
 
@@ -28,6 +29,60 @@ WEEK_S = 604_800.0
 
 WEEKS_TO_ROLLOVER = 1024
 """Weeks after which the ten-bit week number of GPS begins again."""
+
+DAY_S = 86_400.0
+
+YEAR_S = 365.25 * DAY_S
+
+FIRST_YEAR, LAST_YEAR = 2000, 2032
+"""Years of telemetry in files whose epoch is not known."""
+
+FIRST_UNIX_S, LAST_CLOCK_S = 9e8, 2.0**31
+"""Unix times from 1998 to 2038; others may be counts from another instant."""
+
+MOST_DAYS = 0.05
+"""The largest interval of samples in days; as seconds it would be shorter than any."""
+
+TIME_SCALES = {"gps": "gps", "gpst": "gps", "tai": "tai", "tt": "tt", "tdb": "tt"}
+"""Words in the name of a time column -> the `time_format` of its time scale."""
+
+
+class Count(NamedTuple):
+    """A count of UTC from another instant than 1970: its name, its zero in s from 1970, and its unit in s."""
+
+    what: str
+    zero_s: float
+    unit_s: float
+
+    def unix_s(self, number: np.ndarray) -> np.ndarray:
+        """Return counts (n) in s from 1970, to 0.1 ms."""
+        return np.round(number * self.unit_s + self.zero_s, 4)
+
+
+COUNTS = {
+    "jd": Count("days of the Julian Date", -2_440_587.5 * DAY_S, DAY_S),
+    "mjd": Count("days of the Modified Julian Date", -40_587 * DAY_S, DAY_S),
+    "excel": Count("days since 1899-12-30, as in spreadsheets", -25_569 * DAY_S, DAY_S),
+    "datenum": Count("days of datenum in MATLAB", -719_529 * DAY_S, DAY_S),
+    "labview": Count("seconds since 1904, as in LabVIEW", -24_107 * DAY_S, 1.0),
+    "ntp": Count("seconds since 1900, as in NTP", -25_567 * DAY_S, 1.0),
+    "filetime": Count("FILETIME of Windows, 100 ns since 1601", -134_774 * DAY_S, 1e-7),
+    "ticks": Count("ticks of .NET, 100 ns since the year 1", -719_162 * DAY_S, 1e-7),
+}
+"""Values of `time_format` for counts that are no Unix time."""
+
+
+def likely_counts(number: float) -> dict[str, int]:
+    """Return those of `COUNTS` by which a number is a time from `FIRST_YEAR` to `LAST_YEAR`, each with its year."""
+    seconds = {key: number * count.unit_s + count.zero_s for key, count in COUNTS.items()}
+    years = {key: 1970 + unix_s / YEAR_S for key, unix_s in seconds.items()}
+    return {key: int(year) for key, year in years.items() if FIRST_YEAR <= year < LAST_YEAR + 1}
+
+
+def counts_in_words(likely: dict[str, int]) -> str:
+    """Return in words which `time_format` reads a number as which count, of which year; `likely`: see :func:`likely_counts`."""
+    texts = [f'"{key}" for {COUNTS[key].what} ({year})' for key, year in likely.items()]
+    return f"time_format = {' or '.join(texts)}"
 
 
 @cache

@@ -81,6 +81,9 @@ Rollovers = Annotated[
 DATED_FORMATS = ("utc", "gps", "tai", "tt")
 """Values of `time_format` whose times may be dates."""
 
+LOCAL_FORMATS = ("utc", "excel", "datenum", "labview", "ticks")
+"""Values of `time_format` whose times may be local: programs count days, seconds or ticks of the clock on the wall."""
+
 
 @part
 class TelemetryForm(Part):
@@ -109,7 +112,22 @@ class TelemetryForm(Part):
         "power_W"
     )
     time_column: Name = "time"
-    time_format: Literal["utc", "unix", "gps", "tai", "tt", "jd", "elapsed"] = "utc"
+    time_format: Literal[
+        "utc",
+        "unix",
+        "gps",
+        "tai",
+        "tt",
+        "elapsed",
+        "jd",
+        "mjd",
+        "excel",
+        "datenum",
+        "labview",
+        "ntp",
+        "filetime",
+        "ticks",
+    ] = "utc"
     epoch_utc: str | None = None
     columns: Text = field(default_factory=no_entries)
     scale: Positive = 1.0
@@ -171,14 +189,14 @@ class TelemetryForm(Part):
             what = "telemetry.time_format is elapsed but telemetry.epoch_utc is missing"
             raise VehicleError(what, do="add the UTC of time zero, or receive_time_column")
         required_format = {
-            "time_zone": "utc",
-            "week_column": "gps",
-            "gps_rollovers": "gps",
-            "counts_leap_seconds": "elapsed",
+            "time_zone": LOCAL_FORMATS,
+            "week_column": ("gps",),
+            "gps_rollovers": ("gps",),
+            "counts_leap_seconds": ("elapsed",),
         }
         for key, needed in required_format.items():
-            if getattr(self, key) is not None and self.time_format != needed:
-                what = f'telemetry.{key} needs time_format = "{needed}"'
+            if getattr(self, key) is not None and self.time_format not in needed:
+                what = f'telemetry.{key} needs time_format = "{needed[0]}"'
                 raise VehicleError(what, got=self.time_format, do="set it, or leave the key out")
         if self.date_column is not None and self.time_format not in DATED_FORMATS:
             what = "telemetry.date_column needs times of day in the time column"
