@@ -92,7 +92,29 @@ def databases(rows: pd.DataFrame) -> dict[str, str]:
         }
         for name, part in long.groupby("name")
     ]
+    groups = long.astype({"value": float}).groupby("name")
+    groups = {name: part[["unix_s", "value"]].to_numpy().T.tolist() for name, part in groups}
+    opentsdb = [
+        {"metric": "", "tags": {"panel": name}, "dps": list(zip(*pair, strict=True))}
+        for name, pair in groups.items()
+    ]
+    names = {"name": "metric", "unix_s": "timestamp"}
+    long["tags"] = [{}] * len(long)
+    time = {"name": "Time", "type": "time"}
+    fields = {name: {"name": "Value", "labels": {"panel": name}} for name in groups}
+    frames = [
+        {"schema": {"fields": [time, fields[name]]}, "data": {"values": pair}}
+        for name, pair in groups.items()
+    ]
+    wide = {"schema": {"fields": [time | {"name": "time"}, *({"name": name} for name in groups)]}}
+    times = next(iter(groups.values()))[0]
+    wide["data"] = {"values": [times, *(values for _, values in groups.values())]}
     return {
+        "opentsdb arrays": json.dumps(opentsdb),
+        "opentsdb": json.dumps([one | {"dps": dict(one["dps"])} for one in opentsdb]),
+        "opentsdb values": json.dumps(long.rename(columns=names).to_dict("records")),
+        "grafana frames": json.dumps({"results": {"A": {"frames": frames}}}),
+        "grafana frame": json.dumps([wide]),
         "graphite": json.dumps(targets),
         "influx 1": json.dumps({"results": [{"statement_id": 0, "series": series}]}),
         "prometheus": json.dumps({"status": "success", "data": matrix}, indent=1),
@@ -102,9 +124,11 @@ def databases(rows: pd.DataFrame) -> dict[str, str]:
     }
 
 
-@pytest.mark.parametrize(
-    "form", ["prometheus", "yamcs lines", "yamcs page", "line protocol", "graphite", "influx 1"]
-)
+FORMS = ["prometheus", "yamcs lines", "yamcs page", "line protocol", "graphite", "influx 1"]
+FORMS += ["opentsdb", "opentsdb arrays", "opentsdb values", "grafana frames", "grafana frame"]
+
+
+@pytest.mark.parametrize("form", FORMS)
 def test_answers_of_databases_of_time_series_are_rows_of_one_value(form, tmp_path, expected):
     text = databases(template_rows())[form]
     time_format = "utc" if "yamcs" in form or form == "influx 1" else "unix"
@@ -132,10 +156,14 @@ def test_series_of_several_metrics_and_labels_have_the_names_that_tell_them_apar
 )
 def test_an_odd_answer_of_a_database_is_no_traceback(change, tmp_path):
     results = [{"series": [change, {"columns": ["time", "a"], "values": change}]}]
+    frame = {"schema": {"fields": [{"name": "a", "labels": change}]}, "data": {"values": [change]}}
     for document in (
         {"data": {"resultType": "matrix", "result": change}, "parameter": change},
         {"results": results},
         [{"target": 3, "datapoints": change}, change],
+        [{"metric": 3, "tags": {}, "dps": change}],
+        [{"schema": {"fields": change}, "data": {"values": change}}],
+        {"results": {"A": {"frames": [frame]}}},
     ):
         with pytest.raises(TelemetryError):
             read(tmp_path, json.dumps(document))
@@ -199,6 +227,17 @@ def test_a_row_for_each_value_reads_as_a_row_for_each_sample(export, expected, t
     else:
         assert_same_samples(found, expected)
     assert "rows of one value each, named in column" in found.attrs["clock_notes"]
+
+
+@pytest.mark.parametrize(
+    "cell", ['{{panel="{0}",job="eps"}}', "panel={0},host=o", '{{"a": "{0}"}}']
+)
+def test_labels_in_a_column_tell_series_of_one_metric_apart(cell, expected, tmp_path):
+    rows = by_metric(template_rows())
+    rows = rows.assign(labels=rows["Series"].map(cell.format), Series="i")
+    text = rows.rename(columns={"Series": "metric"}).to_csv(index=False)
+    columns = {face: f"{name}.i" for face, name in VEHICLE.telemetry.columns.items()}
+    assert_same_samples(read(tmp_path, text, columns=columns), expected)
 
 
 def test_two_sources_of_one_value_are_refused_with_the_column_that_tells_them_apart(tmp_path):

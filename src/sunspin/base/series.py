@@ -1,6 +1,6 @@
 """Exports of databases of time series: one row for each value, with the columns time, series and value.
 
-Prometheus, YAMCS, Graphite and InfluxDB 1 answer in JSON, InfluxDB exports line protocol.
+Prometheus, YAMCS, Graphite, OpenTSDB, Grafana and InfluxDB 1 answer in JSON, InfluxDB exports line protocol.
 """
 
 from __future__ import annotations
@@ -33,17 +33,23 @@ UNNAMED = ("value", "_value")
 
 
 def rows_of_series(document: Any) -> list[dict[str, Any]] | None:
-    """Return the rows of a JSON answer of Prometheus, YAMCS, Graphite or InfluxDB 1; None for any other document.
+    """Return the rows of a JSON answer of a database of time series, or of Grafana; None for any other document.
 
     Prometheus: `{"data": {"resultType": "matrix", "result": [{"metric": {...}, "values": [[t, "v"], ...]}]}}`. YAMCS: objects with
     `id`, `engValue` (else `rawValue`) and `generationTime`, one or a list, alone or under `parameter`. Graphite: objects with
     `target` and `datapoints`, which are pairs of value and time. InfluxDB 1: several series with `columns`, `values`, `tags`.
+    OpenTSDB: objects with `metric`, `tags`, and `dps` or `timestamp` and `value`. Grafana: data frames with `schema` and `data`,
+    in a list or under `results`.
     """
     data = document.get("data") if isinstance(document, dict) else None
     if isinstance(data, dict) and data.get("resultType") in ("matrix", "vector"):
         return _rows_of_prometheus(data.get("result"))
     if isinstance(document, dict) and isinstance(document.get("results"), list):
         return _rows_of_influx(document["results"])
+    if frames := _frames_of(document):
+        return _rows_of_frames(frames)
+    if isinstance(document, list) and document and all(map(_is_metric, document)):
+        return _rows_of_opentsdb(document)
     if isinstance(document, list) and document and all(map(_is_target, document)):
         return [
             {"time": time, "series": item["target"], "value": value}
@@ -104,7 +110,7 @@ def _rows_of_influx(results: list[Any]) -> list[dict[str, Any]] | None:
                 return None
             labels += [label | {"field": str(name)} for name in columns[1:]]
             values += [(row[0], value) for value in row[1:]]
-    names = _name_series(labels, "field")
+    names = name_series(labels, "field")
     pairs = zip(names, values, strict=True)
     return [{"time": time, "series": name, "value": value} for name, (time, value) in pairs]
 
@@ -123,7 +129,7 @@ def _rows_of_prometheus(result: Any) -> list[dict[str, Any]] | None:
             return None
         labels.append({"__name__": "", **{key: str(value) for key, value in metric.items()}})
         pairs.append(values)
-    names = _name_series(labels, "__name__")
+    names = name_series(labels, "__name__")
     rows = [
         {"time": time, "series": name, "value": value}
         for name, values in zip(names, pairs, strict=True)
@@ -132,7 +138,82 @@ def _rows_of_prometheus(result: Any) -> list[dict[str, Any]] | None:
     return rows or None
 
 
-def _name_series(labels: list[dict[str, str]], last: str) -> list[str]:
+def _is_metric(item: Any) -> bool:
+    """Return whether a JSON value is a series or a value as OpenTSDB writes it."""
+    if not isinstance(item, dict) or not isinstance(item.get("tags"), dict) or "metric" not in item:
+        return False
+    points = item.get("dps")
+    if isinstance(points, list):
+        return all(isinstance(pair, list) and len(pair) == 2 for pair in points)
+    return isinstance(points, dict) or {"timestamp", "value"} <= set(item)
+
+
+def _rows_of_opentsdb(items: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Return the rows of series of OpenTSDB, or of single values."""
+    labels = [
+        {**{key: str(text) for key, text in item["tags"].items()}, "metric": str(item["metric"])}
+        for item in items
+    ]
+    rows = []
+    for name, item in zip(name_series(labels, "metric"), items, strict=True):
+        points = item.get("dps", [[item.get("timestamp"), item.get("value")]])
+        pairs = points.items() if isinstance(points, dict) else points
+        rows += [{"time": time, "series": name, "value": value} for time, value in pairs]
+    return rows
+
+
+def _frames_of(document: Any) -> list[dict[str, Any]]:
+    """Return the data frames in a JSON answer of Grafana, which have equally long columns; empty for any other document."""
+    frames = document if isinstance(document, list) else [document]
+    results = document.get("results") if isinstance(document, dict) else None
+    if isinstance(results, dict):
+        lists = [one.get("frames") for one in results.values() if isinstance(one, dict)]
+        frames = [frame for each in lists if isinstance(each, list) for frame in each]
+    for frame in frames:
+        try:
+            fields, columns = frame["schema"]["fields"], frame["data"]["values"]
+            lengths = {len(column) if isinstance(column, list) else -1 for column in columns}
+            is_frame = len(fields) == len(columns) and len(lengths) == 1 and -1 not in lengths
+            labels = [
+                field.get("labels") or {} for field in fields if isinstance(field["name"], str)
+            ]
+            if not is_frame or [isinstance(each, dict) for each in labels] != [True] * len(fields):
+                return []
+        except (AttributeError, KeyError, TypeError):
+            return []
+    return frames
+
+
+def _rows_of_frames(frames: list[dict[str, Any]]) -> list[dict[str, Any]] | None:
+    """Return the rows of data frames of Grafana; those of a single frame without labels have its columns.
+
+    None if one of several frames has no column of times.
+    """
+    labels: list[dict[str, str]] = []
+    series: list[tuple[list[Any], list[Any]]] = []
+    for frame in frames:
+        fields, columns = frame["schema"]["fields"], frame["data"]["values"]
+        names = [field["name"] for field in fields]
+        if len(frames) == 1 and not any(field.get("labels") for field in fields):
+            return [dict(zip(names, row, strict=True)) for row in zip(*columns, strict=True)]
+        times = [k for k, field in enumerate(fields) if field.get("type") == "time"]
+        if not times:
+            return None
+        for k, field in enumerate(fields):
+            if k != times[0]:
+                tags = {key: str(text) for key, text in (field.get("labels") or {}).items()}
+                # a field of Prometheus is named Value
+                name = tags.pop("__name__", names[k]) if names[k].lower() in UNNAMED else names[k]
+                labels.append({**tags, "field": name})
+                series.append((columns[times[0]], columns[k]))
+    return [
+        {"time": time, "series": name, "value": value}
+        for name, pair in zip(name_series(labels, "field"), series, strict=True)
+        for time, value in zip(*pair, strict=True)
+    ]
+
+
+def name_series(labels: list[dict[str, str]], last: str) -> list[str]:
     """Return the name of each series (n): its labels that are not the same in all of them, and the label `last`, joined by points.
 
     The label `last` is left out if it is empty, or says nothing (`UNNAMED`) and there are others.
@@ -142,7 +223,7 @@ def _name_series(labels: list[dict[str, str]], last: str) -> list[str]:
     names = []
     for label in labels:
         parts = [label[key] for key in differ if label.get(key)]
-        if label[last] and not (parts and label[last] in UNNAMED):
+        if label[last] and not (parts and label[last].lower() in UNNAMED):
             parts.append(label[last])
         names.append(".".join(parts) or "value")
     return names
@@ -182,7 +263,7 @@ def read_line_protocol(text: str, where: str) -> tuple[list[dict[str, str]], lis
             value = re.sub(r"(?<=\d)[iu]$", "", value).strip('"')
             values.append((match["time"], value))
             numbers.append(number)
-    names = _name_series(labels, "field")
+    names = name_series(labels, "field")
     rows = [
         {"time": time, "series": name, "value": value}
         for name, (time, value) in zip(names, values, strict=True)

@@ -5,12 +5,14 @@ Both become a table with a row for each sample, as all other readers expect it.
 
 from __future__ import annotations
 
+import re
 from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
 
 from sunspin.base.errors import TelemetryError
+from sunspin.base.series import name_series
 from sunspin.base.tables import TextTable
 from sunspin.base.untrusted import plain_number
 from sunspin.telemetry.times import parse_utc
@@ -29,6 +31,13 @@ PART_NAMES = ("parameter name", "parameter_name", "metric name", "metric_name", 
 """Names of such columns that are used if there is none of `SERIES_NAMES`, or in addition if its names are not enough."""
 
 
+LABEL_NAMES = ("labels", "tags")
+"""Names of such columns with several labels in a cell, such as `{panel="xp",job="eps"}` or `panel=xp,host=obc`."""
+
+LABEL = re.compile(r'"?(?P<key>[\w.-]+)"?\s*[=:]\s*(?:"(?P<quoted>[^"]*)"|(?P<bare>[^",{}]+))')
+"""A label in a cell."""
+
+
 class Samples(NamedTuple):
     """A table with a row for each sample, and the sentences that say how it was made; no sentences if nothing was changed."""
 
@@ -42,7 +51,8 @@ def pivot_series(table: TextTable, time_column: str, names: set[str]) -> Samples
     Each row of such a file has a time, a value and the name of its series, such as "P1_W". The value is in the one column with a
     name of `VALUE_NAMES`, else of `ENGINEERING_NAMES`, else in the only one next to the time and a name of the series. The name
     is in the column whose cells are most often one of `names`, else in one called as in `SERIES_NAMES` or `PART_NAMES`. If it
-    has two values at a time, the column of `PART_NAMES` is put before it, as in "xp.current_mA". Other columns are dropped.
+    has two values at a time, the column of `PART_NAMES`, or what differs in that of `LABEL_NAMES`, is put before it, as in
+    "xp.current_mA". Other columns are dropped.
     A cell is empty if its series has no value at that time.
 
     `names`: the columns that the vehicle file reads, empty if there is none. The table is returned unchanged if its header has one
@@ -69,16 +79,21 @@ def pivot_series(table: TextTable, time_column: str, names: set[str]) -> Samples
     series_column = max(wanted, key=lambda name: wanted[name], default="")
     if not wanted.get(series_column):
         usual = [name for name in others if small[name] in SERIES_NAMES]
-        parts = [name for name in others if small[name] in PART_NAMES]
+        parts = [name for name in others if small[name] in (*PART_NAMES, *LABEL_NAMES)]
         if not usual and not parts:
             return Samples(table)
         series_column = (usual or parts)[0]
         by_part = table.cells[[time_column, series_column, *parts[:1]]].drop_duplicates()
         if usual and parts and by_part.duplicated([time_column, series_column]).any():
             # such as panel xp and metric current_mA
-            joined = (
-                table.cells[parts[0]].str.strip() + "." + table.cells[series_column].str.strip()
-            )
+            names_of_rows = table.cells[series_column].str.strip()
+            joined = table.cells[parts[0]].str.strip() + "." + names_of_rows
+            if small[parts[0]] in LABEL_NAMES:
+                labels = [
+                    {**_labels_of(cell), "": name}
+                    for cell, name in zip(table.cells[parts[0]], names_of_rows, strict=True)
+                ]
+                joined = name_series(labels, "")
             table = table._replace(cells=table.cells.assign(**{series_column: joined}))
     times, series, cells = (
         table.cells[name].str.strip().to_numpy()
@@ -106,6 +121,11 @@ def pivot_series(table: TextTable, time_column: str, names: set[str]) -> Samples
         f"of {len(column_of_series)} values"
     )
     return Samples(table._replace(cells=collected), (note,))
+
+
+def _labels_of(cell: str) -> dict[str, str]:
+    """Return the labels in a cell by their keys; empty if it has none."""
+    return {label["key"]: label["quoted"] or label["bare"] or "" for label in LABEL.finditer(cell)}
 
 
 def _sort_key(text: str) -> tuple[float, str]:
