@@ -131,6 +131,12 @@ def test_passes_that_overlap_are_compared_in_sigmas_of_both(tmp_path, command):
         assert data.sel(row=f"pass 1 {name}")["size"] == pytest.approx(0.3 / np.hypot(0.1, 0.1))
     assert data.sel(row="pass 1 speed")["a"] == "1.00 ± 0.10"
     assert data.sel(row="pass 2 probability")["words"] == "decided, now not decided"
+    # the speed of a tumbling body changes over a pass: at another instant its range counts
+    b[2]["speed_deg_s"], a[2]["speed_deg_s"] = [0.0, 1.0, 2.0], [0.5, 1.0, 1.5]
+    (tmp_path / "range").mkdir()
+    data = ss.compare(*pair(tmp_path / "range", command, "passes", a, b)).set_index(row="row")
+    error = np.sqrt(0.1**2 + 1.0**2 + 0.1**2 + 0.5**2)
+    assert data.sel(row="pass 2 speed")["size"] == pytest.approx(0.5 / error)
 
 
 @pytest.mark.parametrize("command", ["rates", "posterior"])

@@ -165,7 +165,9 @@ def test_a_comparison_with_kernels_finds_a_changed_motion(result, tmp_path, reac
     assert error.max() < 1e-9
     broken = tmp_path / "broken.bc"
     broken.write_bytes(b"DAF/CK  " + bytes(100))
-    for path, message in (("absent.bc", "no such file"), (broken, "kernels cannot be used")):
+    (tmp_path / "m.aem").write_text("CCSDS_AEM_VERS = 2.0\n")
+    cases = [("absent.bc", "no such file"), (broken, "kernels cannot be used")]
+    for path, message in (*cases, (tmp_path / "m.aem", "AEM. is no SPICE kernel")):
         with pytest.raises(ss.InputError, match=message):
             against_kernels(folder, [path], "SUNSPIN_BODY", "J2000", None)
 

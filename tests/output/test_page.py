@@ -242,6 +242,9 @@ def test_report_refuses_folders_that_sunspin_did_not_write(tmp_path):
     (tmp_path / MARKER).write_text("rates\n", "utf-8")
     with pytest.raises(InputError, match="the run did not end.*run the command again"):
         write_report(tmp_path)
+    (tmp_path / MARKER).write_text("export\n", "utf-8")
+    with pytest.raises(InputError, match="holds files of `sunspin export`; give that of another"):
+        write_report(tmp_path)
     assert (tmp_path / "report.html").read_text("utf-8") == "mine"
 
 

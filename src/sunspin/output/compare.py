@@ -109,7 +109,8 @@ def _match_passes(passes_a: Sequence[dict[str, Any]], passes_b: Sequence[dict[st
     """Renumber the passes of B, in place, so that each has the number of the pass of A that overlaps it in time.
 
     The two runs may number passes differently. If several passes of A overlap a pass of B and one has its number, the pass of B
-    keeps it. No two passes of B get the same number. A pass of B without one in A is named "N of B".
+    keeps it. No two passes of B get the same number. A pass of B without one in A is named "N of B". If the middle of a pass is at
+    another time in B, both rows get the entry `moved`: its speed is then not the same.
     """
     taken = set()
     for row in passes_b:
@@ -124,6 +125,9 @@ def _match_passes(passes_a: Sequence[dict[str, Any]], passes_b: Sequence[dict[st
         if row["pass_id"] not in overlapping:
             row["pass_id"] = overlapping[0] if overlapping else f"{row['pass_id']} of B"
         taken.add(row["pass_id"])
+        for row_a in passes_a:
+            if row_a["pass_id"] == row["pass_id"] and row_a["utc_at"] != row["utc_at"]:
+                row_a["moved"] = row["moved"] = True
 
 
 def _compare_numbers(name: str, a: Number, b: Number) -> dict[str, Any]:
@@ -211,7 +215,8 @@ def _pass_numbers(summary: dict[str, Any]) -> dict[str, Number]:
     """Return speed, rates (deg/s) and probability of the likeliest solution of each pass, by "pass N quantity".
 
     In a pass that is not decided, the likeliest solution may be another in each run. Speed and rates are then means over all
-    solutions, weighted by probability, and their sigmas include the spread of the solutions.
+    solutions, weighted by probability, and their sigmas include the spread of the solutions. The sigma of the speed includes half
+    of its range over the pass, if the other result has it at another time.
     """
     numbers = {}
     for row in summary.get("passes") or ():
@@ -229,6 +234,8 @@ def _pass_numbers(summary: dict[str, Any]) -> dict[str, Number]:
         for what, (value, sigma) in estimates.items():
             mean = share @ value
             total_sigma = np.sqrt(share @ (sigma**2 + (value - mean) ** 2))
+            if what == "speed" and row.get("moved"):
+                total_sigma = np.hypot(total_sigma, np.ptp(row.get("speed_deg_s") or [0.0]) / 2)
             numbers[f"{name} {what}"] = _estimate(f"{what}: {source}", "deg/s", mean, total_sigma)
         what, likeliest = "probability of the likeliest solution", row["solutions"][0]
         facts = ["decided" if decided else "not decided", f"{len(row['solutions'])} solutions"]

@@ -35,6 +35,9 @@ CITE = (
 MANIFEST = "manifest.json"
 """File that lists data, figures and tables of the folder, with the SHA-256 of each file. A page shows nothing else."""
 
+WITHOUT_RESULTS = ("export", "decode")
+"""Commands whose folders hold files for other programs or commands, and no manifest."""
+
 MAX_JSON_BYTES = 20_000_000
 """Largest manifest that is read."""
 
@@ -298,6 +301,11 @@ def read_manifest(folder: Path) -> dict[str, Any]:
     do = "run the command again"
     if not is_file_not_link(folder / MANIFEST):
         what = f"the folder has no {MANIFEST}: the run did not end"
+        if command in WITHOUT_RESULTS:
+            what, do = (
+                f"this folder holds files of `sunspin {command}`",
+                "give that of another command",
+            )
         raise InputError(what, do=do, where=str(folder))
     try:
         content = read_bytes(folder / MANIFEST, MAX_JSON_BYTES, "file", InputError, do)

@@ -43,6 +43,11 @@ def against_kernels(
         if not (path.isprintable() and is_nonempty_file(Path(path))):
             what = "the kernels cannot be used, as there is no such file"
             raise InputError(what, got=path, do="give the paths of SPICE kernels")
+        with open(path, "rb") as file:
+            if file.read(9).startswith((b"CCSDS_AEM", b"<?xml")):
+                what = "an attitude message (AEM) is no SPICE kernel"
+                do = "give a CK; `sunspin export --format ck` writes one"
+                raise InputError(what, got=path, do=do)
     script, et = Path(__file__).with_name("spice_rates.py"), ephemeris_time(attitude.utc)
     # In another process, because SPICE ends its process on some damaged kernels: 1 of 2,000 in
     # `python -m validation corrupt --unguarded --only kernel.bc`.
