@@ -11,7 +11,7 @@ from sunspin import planning
 from sunspin.base.errors import InputError
 from sunspin.cli import cli
 from sunspin.estimate.synthetic import simulate_pass
-from sunspin.output.kinds.plan import plan_summary
+from sunspin.output.kinds.plan import plan_figure, plan_summary
 from sunspin.output.template import write_templates
 from sunspin.planning import plan
 from sunspin.telemetry.synthetic import generator
@@ -125,6 +125,9 @@ def test_pass_that_rates_refuses_is_not_decided_for_that_reason(monkeypatch):
     monkeypatch.setattr(planning, "rates", rates)
     result = plan(CUBE, [10.0], samples=3, max_rate_rad_s=0.05, passes=1)
     assert "no rate explains" in str(result["why_not_decided"].values[0, 1])
+    assert [text.get_text() for text in plan_figure(result).axes[1].texts] == [
+        "no right decided rate"
+    ]
 
 
 @pytest.mark.parametrize(

@@ -216,7 +216,7 @@ def test_simulate_refuses_bad_motions_durations_and_steps(sunspin, arguments, wo
 
 
 def test_a_closed_pipe_is_no_error():
-    command = [sys.executable, "-m", "sunspin.cli", "check", "philae", "--json"]
+    command = [sys.executable, "-m", "sunspin", "check", "philae", "--json"]
     read, write = os.pipe()
     os.close(read)
     done = subprocess.run(command, stdout=write, stderr=subprocess.PIPE, text=True)

@@ -127,6 +127,11 @@ def plan_figure(data: Any) -> Any:
     share_axes.legend(ncols=2, loc="upper center", columnspacing=1, handletextpad=0.3)
     sigma_axes.set(ylabel="one sigma of the rate (deg/s)", xscale="log")
     sigma_axes.set_ylim(bottom=0)
+    sigma_axes.set_xlim(every.min() / 1.3, every.max() * 1.3)
+    if not np.isfinite(data["rate_sigma"]).any():
+        place = sigma_axes.transAxes
+        sigma_axes.text(0.5, 0.5, "no right decided rate", transform=place, ha="center")
+        sigma_axes.set_yticks([])
     sigma_axes.set_xticks(every, [f"{each:g}" for each in every])
     sigma_axes.minorticks_off()
     for axes in grid.flat:

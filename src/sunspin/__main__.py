@@ -1,0 +1,5 @@
+"""Entry point of ``python -m sunspin``."""
+
+from sunspin.cli import main
+
+main()
