@@ -121,6 +121,10 @@ def test_predictions_do_not_depend_on_the_number_of_workers_or_the_order_of_time
 def test_predictions_at_invalid_times_are_refused(times):
     with pytest.raises(InputError, match="times to predict must be numbers, at most a week"):
         predict(PHILAE, philae_draws(1), times)
+    with pytest.raises(InputError, match="times to predict must be numbers .found .*17:25"):
+        predict(PHILAE, philae_draws(1), ["17:25"])
+    with pytest.raises(InputError, match="predictions need the DataTree that `posterior` returned"):
+        predict(PHILAE, philae_draws(1).children["posterior"].to_dataset(), [25200.0])
 
 
 def test_a_prediction_with_another_vehicle_is_refused():

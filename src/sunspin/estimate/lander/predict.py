@@ -177,8 +177,11 @@ def predict(
     Raises
     ------
     InputError
-        Times that are no numbers or more than a week away, a posterior of another vehicle.
+        Times that are no numbers or more than a week away, a posterior of another vehicle, or no posterior.
     """
+    if not isinstance(tree, xr.DataTree) or "t_first_s" not in tree.attrs:
+        what, do = "predictions need the DataTree that `posterior` returned", "give it whole"
+        raise InputError(what, got=type(tree).__name__, do=do)
     times = checked_times(times_s, float(tree.attrs["t_first_s"]))
     motions = DrawnMotions.of(vehicle, tree)
     return predictions(motions, motions.at(times, workers), times).assign_attrs(attributes_of(tree))
@@ -240,7 +243,11 @@ def checked_times(times_s: npt.ArrayLike, first_s: float) -> np.ndarray:
 
     InputError if there are none, if some are not finite, or if some are more than a week from the first sample at `first_s`.
     """
-    times = np.unique(np.asarray(times_s, dtype=np.float64))
+    try:
+        times = np.unique(np.asarray(times_s, dtype=np.float64))
+    except (TypeError, ValueError):
+        what, do = "times to predict must be numbers", "give s from the epoch"
+        raise InputError(what, got=str(times_s)[:60], do=do) from None
     if not (times.size and np.isfinite(times).all() and np.abs(times - first_s).max() <= LONGEST_S):
         raise InputError(
             "times to predict must be numbers, at most a week from the first sample",
