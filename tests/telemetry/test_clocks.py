@@ -500,6 +500,10 @@ def test_counts_of_other_programs_are_read_and_named(key, tmp_path):
     unix = read(tmp_path, cells, 'time_format = "unix"')
     assert f'"{key}"' in notes(unix)
     assert (second < 1e7) or np.allclose(utc(unix), utc(stated))
+    if second == 1:
+        milli = [f"{zero * 1e3 + 1e4 * k:.0f}" for k in range(5)]
+        in_ms = read(tmp_path, milli, f'time_format = "{key}"\ntime_scale_s = 0.001')
+        np.testing.assert_allclose(utc(in_ms), utc(stated), atol=1e-3)
     if key in LOCAL_FORMATS:
         local = read(tmp_path, cells, f'time_format = "{key}"\ntime_zone = "Europe/Berlin"')
         np.testing.assert_allclose(utc(local), utc(stated) - 3600, atol=1e-3)

@@ -304,7 +304,8 @@ def _read_counts(form: TelemetryForm, table: TextTable) -> np.ndarray:
     """Read Julian Dates and other `COUNTS` of UTC as s from 1970 (n), to 0.1 ms."""
     count = COUNTS[form.time_format]
     numbers = np.array([plain_number(cell) for cell in table.cells[form.time_column]])
-    seconds = count.unix_s(numbers)
+    # as for Unix times, counts of seconds may be in ms; days and ticks have units of their own
+    seconds = count.unix_s(numbers * (form.time_scale_s if count.unit_s == 1 else 1.0))
     if (bad := ~(np.abs(seconds) <= LATEST_UNIX_S)).any():
         example = f"{(1_769_904_000 - count.zero_s) / count.unit_s:.1f}".removesuffix(".0")
         what = f"{count.what} are expected, such as {example} (1 February 2026)"
