@@ -299,3 +299,6 @@ def test_results_without_a_usable_attitude_are_refused_in_one_sentence(result, t
     ):
         with pytest.raises(ss.InputError, match=words):
             build_attitude(data)
+    with pytest.raises(ss.InputError, match="another UTC of their time zero .*leave --epoch out"):
+        build_attitude(result, epoch_utc="2020-01-01")
+    assert str(build_attitude(result.assign_attrs(epoch_utc="x"), None, "2020-01-01").epoch)[:4] == "2020"

@@ -11,6 +11,7 @@ the files name it so; a celestial frame is written only if the result states tha
 from __future__ import annotations
 
 import io
+from contextlib import suppress
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -169,12 +170,18 @@ def build_attitude(
     Raises
     ------
     InputError
-        The frame is not known for this result, the epoch is missing, or the result is damaged. With `step_s` or `dense` also: the
+        The frame is not known for the result, its epoch is missing or another, or it is damaged. With `step_s` or `dense` also: the
         instants of the result are more than `LARGEST_STEP_RAD` apart, or there would be more than `MAX_ATTITUDES`.
     """
     frame_name, orientation = _choose_frame(data, frame)
     samples = _read_samples(data)
-    epoch = _parse_epoch(str(epoch_utc or data.attrs.get("epoch_utc")))
+    known = data.attrs.get("epoch_utc")
+    epoch = stored = _parse_epoch(str(epoch_utc or known))
+    with suppress(InputError):  # a damaged one is replaced
+        stored = _parse_epoch(str(known))
+    if epoch != stored:
+        what = "the results have another UTC of their time zero"
+        raise InputError(what, got=f"{epoch_utc}, and {known} there", do="leave --epoch out")
     if step_s is not None:
         samples = _resample(_add_curve(data, samples), step_s, dense)
     elif dense:
