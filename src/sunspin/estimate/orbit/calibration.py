@@ -77,8 +77,8 @@ Earth's light were 3 deg off at a sigma of 0.4, and its passes decided 5 sigma o
 satellite in orbit was decided wrongly by its magnetometer alone."""
 
 SUN_TURNED_BY_EARTH = 0.15
-"""The same error, if it is larger, in rad per full Sun of light that the Earth gives a panel which looks at it. At 0.27 full Sun the
-axes of a spinner were 3 deg off, and a pass was decided 5 sigma off. With this it is 1.5 off, and the sigma grows by a fifth."""
+"""The same error, if it is larger, in rad per full Sun of light that the Earth gives a panel which looks at it. At 0.27 full Sun
+the axes of a spinner were 3 deg off, and a pass was decided 5 sigma off. With this it is 1.5 off; the sigma grows by a fifth."""
 
 MAGNETOMETER = slice(0, 13)
 """Unknowns of the magnetometer in an orbit: matrix, zero, and along-track offset."""
