@@ -162,12 +162,6 @@ def body(sigma: float) -> Body:
     return Body.of(replace(CUBE, facts={"body.inertia_kg_m2": fact}))
 
 
-def test_a_body_wanders_in_a_search_by_the_error_of_its_inertia_and_a_sphere_does_not():
-    assert np.isclose(body(ERROR).for_search().wander, ERROR)
-    assert not len(body(ERROR).for_search().errors)
-    assert Body.of(replace(CUBE, inertia_kg_m2=None)).for_search().wander == 0
-
-
 def test_starts_are_trusted_less_the_farther_a_sample_is_if_the_inertia_has_errors():
     obs = stated_model(CUBE, tumbling_pass(CUBE, 8, 30.0, seed=4)[0]).obs
     spreads = []

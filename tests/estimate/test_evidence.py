@@ -6,20 +6,16 @@ from importlib import import_module
 
 import numpy as np
 import pytest
-import xarray as xr
 from scipy.special import logsumexp
 
-from sunspin.estimate import wheels
 from sunspin.estimate.between import link_passes
 from sunspin.estimate.budget import Budget
 from sunspin.estimate.chain import fit
 from sunspin.estimate.evidence import PassFits, best_motions, ladder, share_noise, sum_over_shares
-from sunspin.estimate.observe import Pass
-from sunspin.estimate.one_pass import PassFitter, one_pass
+from sunspin.estimate.one_pass import one_pass
 from sunspin.estimate.quick import MOTIONS, quick_evidence
 from sunspin.estimate.settings import RATES, LadderSettings, SearchSettings, SolutionSettings
 from sunspin.estimate.solutions import solutions
-from sunspin.telemetry.assess import assess
 from tests.support.chains import problem
 from tests.support.passes import stated_model, tumbling_pass
 from tests.support.simulate import CUBE
@@ -46,11 +42,6 @@ def test_sum_over_sizes_is_that_of_fits_under_each_size():
     omega = sum(w * one.motions.omega[0] for w, one in zip(weight, each, strict=True))
     sigma = np.sqrt(np.diag(summed.motions.covariance[0, 2]))[3:]
     assert (np.abs(summed.motions.omega[0, 2] - omega[2]) < 0.1 * sigma).all()
-
-
-def test_a_fit_without_unknown_sizes_is_unchanged():
-    one = fit(*problem(torque=False), 10)
-    assert sum_over_shares(one, 3.0) is one
 
 
 def test_a_quiet_motion_is_most_probable_under_weak_torques_and_all_rungs_agree():
@@ -87,15 +78,6 @@ def test_passes_tell_each_other_how_strong_torques_are_and_one_alone_has_an_even
     told = share_noise(passes_of([sharp, flat, sharp]), LADDER)[1]
     assert np.isclose(np.exp(told.log_rung).sum(), 1.0)
     assert np.exp(told.log_rung[2]) > 0.7 and np.exp(told.log_rung[0]) > 0.02
-
-
-def test_a_motion_of_several_rungs_is_one_solution():
-    model, motions = problem()
-    fits = tuple(ladder(model, motions, LADDER, SEARCH, 1e-4))
-    one = PassFits(model, fits, LADDER.rungs, np.full(7, -np.log(7)))
-    solved = solutions(one, model.obs, np.arange(5), SolutionSettings(), SEARCH)
-    assert len(solved.probability) == 1 and np.isclose(solved.probability[0], 1.0)
-    assert np.allclose(solved.mean[0], solved.track.omega[0].mean(axis=0))
 
 
 @pytest.mark.parametrize(
@@ -184,18 +166,6 @@ def test_a_body_of_uncertain_inertia_that_wants_strong_torques_is_searched_under
     exact = replace(model, body=replace(model.body, errors=model.body.errors[:0]))
     one_pass(exact, RATES, Budget.of(1.0))
     assert strengths == [RATES.search.noise]
-
-
-def test_a_body_without_wheels_has_no_wheel_in_doubt_and_no_search():
-    model, every = stated(), np.arange(20)
-    seen = assess(CUBE, xr.Dataset(coords={"time": model.obs.t_s}))
-    only = Pass(every, every, 0)
-    fitter = PassFitter(RATES, Budget.of(1.0), lambda _, models, *__: list(models))
-    searches = wheels.search_reversed(seen, "none", model, only, fitter)
-    assert not any(searches)
-    fits = PassFits(model, (), RATES.ladder.rungs, np.zeros(0))
-    compared = [(only, fits)]
-    assert wheels.doubted_signs(model.obs, compared, *searches, fitter) is None
 
 
 TIMES = np.arange(6) * 5400.0

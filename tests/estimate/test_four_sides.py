@@ -10,7 +10,7 @@ from sunspin.base.errors import InputError
 from sunspin.estimate import one_pass
 from sunspin.estimate.budget import Budget
 from sunspin.estimate.chain import defects, equations, propagate
-from sunspin.estimate.images import either_side, imaged, images_of, with_images
+from sunspin.estimate.images import either_side, imaged, images_of
 from sunspin.estimate.model import Noise, Track
 from sunspin.estimate.rates import rates
 from sunspin.estimate.settings import SearchSettings
@@ -84,13 +84,6 @@ def test_an_image_has_the_same_cost_and_obeys_the_equations():
     assert np.allclose(image.omega, motion.omega * [-1, -1, 1])
     assert np.isclose(equations(loose, image).cost[0], equations(loose, motion).cost[0], rtol=1e-9)
     assert np.abs(defects(loose, image)[0]).max() < 1e-6
-
-
-def test_each_motion_gets_its_image_once():
-    model, _, motion, image = imaged_motion(np.eye(3))
-    assert len(with_images(motion, model, SEARCH)) == 2
-    # the second is an image of the first
-    assert len(with_images(Track.joined([motion, image]), model, SEARCH)) == 3
 
 
 def test_motions_that_see_the_sun_on_either_side_have_one_rate():

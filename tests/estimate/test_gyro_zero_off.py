@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from sunspin.estimate.alternatives import another_zero
-from sunspin.estimate.evidence import rescale_unknowns
-from sunspin.estimate.model import Model, Track
+from sunspin.estimate.model import Model
 from sunspin.estimate.rates import rates
 from sunspin.estimate.settings import GYRO_ZEROS, RATES
 from sunspin.vehicle.sensors import Sensors
@@ -43,19 +42,6 @@ def test_a_zero_that_is_stated_is_doubted_and_one_that_is_not_is_free_anyway(sim
     assert all(unknown.doubted and len(unknown.shares) == len(GYRO_ZEROS) for unknown in zeros)
     assert np.isclose(other.log_prior, np.log(0.05 / 0.95))
     assert not list(another_zero(other, RATES.alternatives))
-
-
-def test_unknowns_keep_their_size_in_the_sigmas_of_another_model(simulated):
-    model = stated(simulated)
-    (other,) = another_zero(model, RATES.alternatives)
-    u = np.random.default_rng(0).normal(size=(2, len(model.unknowns)))
-    motions = Track(np.zeros((2, 1, 3, 3)), np.zeros((2, 1, 3)), u)
-    sizes = u * [unknown.sigma for unknown in model.unknowns]
-    again = rescale_unknowns(motions, model, other).u * [
-        unknown.sigma for unknown in other.unknowns
-    ]
-    np.testing.assert_allclose(again, sizes)
-    assert not np.allclose(rescale_unknowns(motions, model, other).u, u)
 
 
 def test_an_axis_whose_zero_is_exact_has_an_unknown_as_the_others_have(simulated):

@@ -6,24 +6,17 @@ import numpy as np
 import pytest
 
 import sunspin as ss
-from sunspin.estimate.lander.allowed import cube_nodes, possible_directions, shortfall
 from sunspin.estimate.lander.carrier import Shooting
-from sunspin.estimate.lander.families import one_each_box, one_each_ridge, with_neighbours
 from sunspin.estimate.lander.fit import FINAL_ERROR, FitProblem
 from sunspin.estimate.lander.grid import Reference, choose_reference, grid_starts, settled_starts
 from sunspin.estimate.lander.motions import LanderMotions
-from sunspin.estimate.lander.rate_grid import RateGrid, Reached, attitudes
+from sunspin.estimate.lander.rate_grid import RateGrid, Reached
 from sunspin.estimate.lander.window import observe_window
 from sunspin.estimate.posterior import search_nominal
 from sunspin.estimate.settings import POSTERIOR
-from sunspin.solve.rotations import move_on_sphere
 from sunspin.telemetry.assess import assess
 from tests.estimate.plain_cells import (
     LookThrough,
-    corner_weights,
-    corners_of,
-    nearest_node,
-    rotated,
 )
 from tests.support.landers import NOISE, OMEGA, PHILAE, SUN, lander_model, lander_telemetry, noisy
 from tests.support.passes import slope_of
@@ -48,15 +41,6 @@ def placed(model, **changes):
 # ---- the grid --------------------------------------------------------------------------------------------------------------
 
 
-def test_the_nearest_node_is_within_its_stated_distance():
-    nodes = cube_nodes(GRID.nodes)
-    sun = units(np.random.default_rng(0).standard_normal((2000, 3)))
-    off = np.arccos(np.clip(np.sum(nodes[nearest_node(sun, GRID.nodes)] * sun, axis=1), -1, 1))
-    assert off.max() < GRID.node_rad
-    by_search = np.argmax(sun @ nodes.T, axis=1)
-    assert np.mean(nearest_node(sun, GRID.nodes) == by_search) > 0.9
-
-
 def rate_grid(model, reference, settings=GRID):
     """Return the grid of rates of a model with its reference where the search begins."""
     reached = Reached.of(model, reference.limit, reference.fastest)
@@ -68,36 +52,6 @@ def small_search():
     """Return a model with its reference where the search begins, that reference, and a grid of rates up to 0.12 rad/s."""
     model, reference = placed(lander_model(max_rate_rad_s=0.12), limit=0.12)
     return model, reference, rate_grid(model, reference)
-
-
-def test_interpolated_attitudes_are_those_of_the_motion():
-    """To 0.05 rad in the middle of cells, with the signs of neighbouring quaternions alike; at their corners if all are run."""
-    model, reference = placed(lander_model(max_rate_rad_s=0.03), limit=0.03)
-    grid = rate_grid(model, reference, replace(GRID, between_rad=0.0))
-    cells = grid.cells[:: max(1, len(grid.cells) // 40)]
-    turn = corners_of(grid, cells)
-    middle = np.einsum("c,ncmq->nmq", corner_weights(np.full(3, 0.5)), turn)
-    omega = grid.rates(cells) + 0.5 * grid.edge
-    u = np.zeros((len(omega), len(model.unknowns)))
-    carried = model.sun_states(LanderMotions(omega, np.tile(SUN, (len(omega), 1)), u), 1e-6).sun_B
-    off = rotated(middle, SUN) - carried[:, reference.others]
-    assert np.linalg.norm(off, axis=-1).max() < 0.12
-    assert np.sqrt(np.mean(np.sum(off**2, axis=-1))) < 0.05
-    corner = LanderMotions(grid.rates(cells), np.tile(SUN, (len(omega), 1)), u)
-    exact = model.sun_states(corner, 1e-6).sun_B[:, reference.others]
-    np.testing.assert_allclose(rotated(turn[:, 0], SUN), exact, atol=2e-3)
-
-
-def test_attitudes_between_runs_are_those_of_runs(small_search):
-    """To 0.1 rad for 97 of 100 rates, with one run for eight points or fewer; with the same settings as a search."""
-    model, reference, grid = small_search
-    times = model.obs.t_s[reference.others]
-    picked = np.random.default_rng(6).choice(np.flatnonzero(grid.row_of >= 0), 500)
-    exact = attitudes(model, grid.rates(picked), times)
-    cosine = np.abs(np.sum(exact * grid.quaternions[grid.row_of[picked]], axis=-1))
-    off = 2 * np.arccos(np.minimum(cosine, 1.0))
-    assert np.quantile(off, 0.97) < 0.1
-    assert np.quantile(off, 0.9) < GRID.between_rad
 
 
 def test_every_motion_of_the_prior_reaches_a_rate_that_is_searched():
@@ -116,19 +70,6 @@ def test_every_motion_of_the_prior_reaches_a_rate_that_is_searched():
     assert np.sqrt(reached.energy(there).max()) > 0.97 * reached.most
     ball = 0.9 * rng.random((300, 1)) ** (1 / 3) * direction
     assert 0.3 < reached.within(ball, 0.0).mean() < 0.5
-
-
-def test_readings_contradict_no_direction_near_the_true_one_and_some_far_away():
-    model = lander_model()
-    sun = model.sun_states(LanderMotions(OMEGA[None], SUN[None], np.zeros((1, 8))), 1e-8).sun_B
-    rng = np.random.default_rng(2)
-    near = move_on_sphere(np.tile(sun[0], (50, 1)), 0.2 * rng.standard_normal((400, 2)).clip(-1, 1))
-    assert shortfall(model.panels, near.reshape(50, 8, 3), 0.35, GRID).max() == 0
-    assert shortfall(model.panels, -sun, 0.35, GRID).max() > GRID.limit
-    allowed = possible_directions(model.panels, 0, GRID)
-    assert (allowed @ SUN).max() > np.cos(GRID.directions_rad)
-    apart = allowed @ allowed.T - 2 * np.eye(len(allowed))
-    assert apart.max() < np.cos(0.9 * GRID.directions_rad)
 
 
 @pytest.mark.parametrize("throttled", [False, True])
@@ -210,26 +151,6 @@ def family(count: int, spacing_rad_s: float, loose: float) -> LanderMotions:
         starts=np.ones(count, dtype=int),
         neighbours_s=np.zeros(count),
     )
-
-
-def test_a_family_gets_neighbours_along_its_loose_direction_alone():
-    """At 0.65 rad at the end of the next window; a motion that is known well gets none."""
-    reach, expected = 100.0, np.array([[SHOOTING.neighbour_rad, 0.0, 0.0]] * 2)
-    added = with_neighbours(family(1, 1.0, 0.02), reach, 0.6, SHOOTING).omega[1:] * reach
-    np.testing.assert_allclose(np.abs(added), expected, rtol=1e-6, atol=1e-6)
-    assert len(with_neighbours(family(1, 1.0, 0.002), reach, 0.6, SHOOTING)) == 1
-    # set once, they are not set again before the window has grown
-    again = replace(family(1, 1.0, 0.02), neighbours_s=np.full(1, 95.0))
-    assert len(with_neighbours(again, reach, 0.6, SHOOTING)) == 1
-
-
-def test_motions_of_one_ridge_or_box_are_joined_with_all_their_starts():
-    close, apart = family(5, 0.01, 0.02), family(5, 0.1, 0.02)
-    joined = one_each_ridge(close, SHOOTING)
-    assert len(joined) < 5 and joined.starts.sum() == 5
-    assert len(one_each_ridge(apart, SHOOTING)) == 5
-    boxed = one_each_box(family(5, 1e-5, 0.02), 100.0, SHOOTING)
-    assert boxed.starts.tolist() == [5] and boxed.cost.tolist() == [0.0]
 
 
 # ---- the search ------------------------------------------------------------------------------------------------------------

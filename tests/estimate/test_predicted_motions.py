@@ -117,18 +117,16 @@ def test_predictions_do_not_depend_on_the_number_of_workers_or_the_order_of_time
     np.testing.assert_array_equal(backward[:, 0], backward[:, 2])
 
 
-@pytest.mark.parametrize("times", [[], [np.nan], [25200.0 + 8 * 86400]])
-def test_predictions_at_invalid_times_are_refused(times):
-    with pytest.raises(InputError, match="times to predict must be numbers, at most a week"):
-        predict(PHILAE, philae_draws(1), times)
-
-
-def test_a_prediction_with_another_vehicle_is_refused():
+def test_predictions_at_invalid_times_or_with_another_vehicle_are_refused():
+    tree = philae_draws(1)
+    for times in ([], [np.nan], [25200.0 + 8 * 86400]):
+        with pytest.raises(InputError, match="times to predict must be numbers, at most a week"):
+            predict(PHILAE, tree, times)
     heavier = replace(PHILAE, inertia_kg_m2=1.1 * np.array(PHILAE.inertia_kg_m2))
     renamed = replace(PHILAE, wheels=(replace(PHILAE.wheels[0], name="another"),))
     for vehicle in (heavier, renamed):
         with pytest.raises(InputError, match="not of this vehicle"):
-            predict(vehicle, philae_draws(1), [LATER])
+            predict(vehicle, tree, [LATER])
 
 
 def test_the_best_motion_of_a_solution_is_that_of_its_likeliest_draw():

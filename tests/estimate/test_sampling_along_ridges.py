@@ -1,8 +1,6 @@
 """Draws along ridges against densities whose integral, weights and moments are known in closed form."""
 
 from dataclasses import dataclass, replace
-from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -10,17 +8,15 @@ from scipy.integrate import quad
 from scipy.special import logsumexp
 
 from sunspin.estimate.budget import Budget
-from sunspin.estimate.lander.mixture import Mixture, join_models
+from sunspin.estimate.lander.mixture import join_models
 from sunspin.estimate.lander.motions import Draws, LanderMotions, ModelFit
-from sunspin.estimate.lander.outer_law import QuadraticTransform, StudentMixture
-from sunspin.estimate.lander.ridges import Chart, ridges_of
-from sunspin.estimate.lander.sample import predictive_check, resampled, sample
+from sunspin.estimate.lander.ridges import ridges_of
+from sunspin.estimate.lander.sample import predictive_check, sample
 from sunspin.estimate.lander.target import MotionSlopes
 from sunspin.estimate.model import Unknown
 from sunspin.estimate.settings import SAMPLING
 from sunspin.solve.linear import DenseSystem
 from sunspin.solve.rotations import tangent_basis
-from tests.support.passes import slope_of
 
 RATE, TURN = np.array([2e-4, 1e-4, 3e-4]), 0.02
 """Sigmas of the rates (rad/s) about a ridge, and of the direction (rad)."""
@@ -242,59 +238,6 @@ def test_unknowns_that_readings_tie_along_a_curve_are_drawn_along_it():
     assert draws.effective > max(1000, 1.5 * straight.effective)
 
 
-def curve(n: int, seed: int = 0) -> np.ndarray:
-    """Return points (n, 3): the second follows the first by a quadratic to 0.01."""
-    a, b, c = np.random.default_rng(seed).standard_normal((3, n))
-    return np.stack([a, 1.0 + a + 0.1 * a**2 + 0.01 * b, 3.0 * c], axis=1)
-
-
-def test_a_bend_straightens_a_thin_curve_and_keeps_volumes():
-    y = curve(4000)
-    law = QuadraticTransform.of(y, np.full(4000, 1 / 4000), SAMPLING)
-    assert law is not None and law.thin_axes.shape == (3, 1)
-    straight = law.straight(y)
-    assert law.bent(straight) == pytest.approx(y, abs=1e-9)
-    thinnest = np.sqrt(np.linalg.eigvalsh(np.cov(straight.T))[0])
-    assert thinnest < 0.25 * np.sqrt(np.linalg.eigvalsh(np.cov(y.T))[0])
-    columns = [slope_of(lambda h: law.straight(y[:1] + h)[0], h, 1e-6) for h in 1e-6 * np.eye(3)]
-    assert np.linalg.det(np.array(columns)) == pytest.approx(1.0, abs=1e-6)
-
-
-def test_draws_that_are_round_or_few_have_no_bend():
-    round_ = np.random.default_rng(0).standard_normal((4000, 3))
-    assert QuadraticTransform.of(round_, np.full(4000, 1 / 4000), SAMPLING) is None
-    assert QuadraticTransform.of(curve(5), np.full(5, 0.2), SAMPLING) is None
-
-
-def test_a_bent_law_draws_with_the_density_that_it_states():
-    """Means over draws of another density over their own are one, of the law's draws and under a law without a bend."""
-    y = curve(4000)
-    bend = QuadraticTransform.of(y, np.full(4000, 1 / 4000), SAMPLING)
-    mean = bend.straight(y).mean(axis=0, keepdims=True)
-    law = StudentMixture(np.ones(1), mean, np.cov(bend.straight(y).T)[None], bend)
-    points = law.draw(20_000, np.random.default_rng(1), 5.0)
-    inside = law._replace(covariance=0.5 * law.covariance)
-    ratio = np.exp(inside.log_densities(points, 8.0) - law.log_densities(points, 5.0))
-    assert ratio.mean() == pytest.approx(1.0, abs=0.02)
-    wide = StudentMixture(np.ones(1), y.mean(axis=0)[None], 2.0 * np.cov(y.T)[None])
-    points = wide.draw(20_000, np.random.default_rng(2), 5.0)
-    ratio = np.exp(law.log_densities(points, 5.0) - wide.log_densities(points, 5.0))
-    assert ratio.mean() == pytest.approx(1.0, abs=0.1)
-
-
-def test_all_rounds_propose_with_one_density():
-    """A mixture of their laws, in proportion to their draws."""
-    target = one()
-    (ridge,) = ridges_of(target, target.fit([0]), SAMPLING)
-    d = ridge.chart.dimensions
-    laws = [StudentMixture(np.ones(1), np.full((1, d), at), np.eye(d)[None]) for at in (0.0, 2.0)]
-    ridge.past = [(1, laws[0]), (3, laws[1])]
-    y = np.stack([np.zeros(d), np.full(d, 2.0)])
-    first, second = (law.log_densities(y, SAMPLING.freedom)[:, 0] for law in laws)
-    expected = np.log(np.exp(first) / 4 + 3 * np.exp(second) / 4)
-    assert ridge.log_outer(y) == pytest.approx(expected)
-
-
 @pytest.mark.parametrize("weight", [0.5, 0.8])
 def test_two_motions_keep_their_probabilities(weight):
     target = pair(weight)
@@ -323,49 +266,6 @@ def test_an_unknown_with_a_bound_keeps_half_of_the_posterior():
     assert draws.log_evidence == pytest.approx(target.log_integral + np.log(0.5), abs=0.06)
     assert moments(draws)[0] == pytest.approx(np.sqrt(2 / np.pi), abs=0.06)
     assert weights(draws)[draws.motions.u[:, 0] < 0].sum() == 0.0
-
-
-def charted(target):
-    """Return the chart about the first motion, and that motion."""
-    fit = target.fit([0])
-    return Chart.about(
-        target, fit.motions, np.linalg.inv(fit.motions.curvature[0]), SAMPLING
-    ), fit.motions
-
-
-def test_coordinates_of_a_chart_are_inverse_to_its_motions():
-    chart, first = charted(pair(0.5))
-    rng = np.random.default_rng(0)
-    y = rng.normal(size=(50, chart.dimensions))
-    z = 0.3 * rng.normal(size=(50, chart.stiff))
-    motions = chart.motions(y, z, np.tile(first.u, (50, 1)))
-    back_y, back_z = chart.coordinates(motions)
-    assert back_y == pytest.approx(y, abs=1e-9) and back_z == pytest.approx(z, abs=1e-9)
-    # a step along a stiff coordinate, in the motion's own tangents, leads where the chart leads
-    step = np.zeros((50, 5 + 2))
-    step[:, :5] = 1e-4 * chart.stiff_steps(motions, y, z)[:, :, 0]
-    moved = motions.moved(step)
-    size = 1e-4 * np.eye(chart.stiff)[0]
-    there = chart.motions(y, z + size, motions.u)
-    assert moved.sun == pytest.approx(there.sun, abs=1e-7)
-    assert moved.omega == pytest.approx(there.omega, abs=1e-9)
-
-
-def test_volume_of_a_chart_is_that_of_rates_and_solid_angle():
-    chart, first = charted(one())
-    y, z = np.full((1, chart.dimensions), 0.2), np.full((1, chart.stiff), 0.4)
-    middle = chart.motions(y, z, first.u)
-
-    def moved(step):
-        """Return rate and direction after a step of the coordinates, soft ones first."""
-        along = y.copy()
-        along[:, : chart.weak] += step[: chart.weak]
-        end = chart.motions(along, z + step[chart.weak :], first.u)
-        return end.from_centre(middle)[0, :5]
-
-    columns = [slope_of(moved, step, 1e-5) for step in 1e-5 * np.eye(5)]
-    volume = np.log(abs(np.linalg.det(np.array(columns))))
-    assert chart.log_volume(y, z)[0] == pytest.approx(volume, abs=1e-6)
 
 
 def of_model(evidence: float, region_at: list[float], n: int = 400) -> Draws:
@@ -408,36 +308,6 @@ def test_regions_of_two_models_are_one_if_they_differ_by_a_bend():
     assert shares(joined) == pytest.approx([1.0])
     parted = join_models([of_model(0.0, [0.0]), of_model(-1.0, [turned])], REACH_S)
     assert shares(parted) == pytest.approx([1 / (1 + np.exp(-1)), 1 / (1 + np.e)])
-
-
-def test_resampled_draws_are_proportional_to_the_weights():
-    draws = of_model(0.0, [0.0], n=3)
-    draws = replace(draws, log_weight=np.log([1.0, 2.0, 5.0]))
-    picked = resampled(draws.log_weight, 800, np.random.default_rng(0))
-    assert np.bincount(picked).tolist() == pytest.approx([100, 200, 500], abs=1)
-
-
-def test_draws_of_two_models_are_evaluated_once_each_and_keep_their_places():
-    motions = LanderMotions(
-        np.arange(15.0).reshape(5, 3), np.tile([0.0, 0.0, 1.0], (5, 1)), np.zeros((5, 1))
-    )
-    of_model, region, none = np.array([1, 0, 0, 1, 1]), np.zeros(5, dtype=int), np.zeros(5)
-    draws = Draws(motions, none, of_model, region, effective=5.0, pareto_k=0.0, log_evidence=0.0)
-    fits: list[Any] = [
-        SimpleNamespace(model=SimpleNamespace(unknowns=("brightness",), offset=offset))
-        for offset in (0.0, 100.0)
-    ]
-    mix = Mixture(tuple(fits), draws, np.full(2, 0.5), np.ones(1), workers=2)
-    evaluated: list[int] = []
-
-    def of_one(model: Any, motions: LanderMotions) -> tuple[np.ndarray]:
-        evaluated.append(len(motions))
-        return (model.offset + motions.omega,)
-
-    index = np.array([4, 0, 4, 2, 1, 0])
-    (value,) = mix.evaluate(index, of_one)
-    np.testing.assert_array_equal(value, motions.omega[index] + 100.0 * of_model[index][:, None])
-    assert sorted(evaluated) == [2, 2]
 
 
 def test_readings_that_no_motion_explains_have_no_chance():

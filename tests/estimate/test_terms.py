@@ -14,8 +14,7 @@ from sunspin.estimate.model import Body, Model, Noise, Observations, States, Tra
 from sunspin.estimate.observe import observe
 from sunspin.estimate.settings import FIELD_TURN
 from sunspin.estimate.terms.directions import SunDirections
-from sunspin.estimate.terms.earth_light import EarthLight
-from sunspin.estimate.terms.field import FieldChange, FieldDirection, KnownField
+from sunspin.estimate.terms.field import FieldChange, KnownField
 from sunspin.estimate.terms.inertial import AttitudeChange, GyroRates, Latency, RateMagnitudes
 from sunspin.estimate.terms.panels import DEFAULT_EARTH_SHARE, Panels, ReadingTimes
 from sunspin.estimate.terms.term import facing
@@ -160,14 +159,6 @@ def test_the_slope_of_the_cost_is_that_of_differences(name, late):
         assert np.allclose(by_u, system.border_slope[:, j], rtol=1e-3, atol=atol)
 
 
-def test_neighbours_fit_the_field_that_they_read():
-    seen = motions(np.random.default_rng(5), count=1)
-    term = FieldChange(T_S, seen.attitude[0] @ [0.3, -0.2, 0.9], 0.01)
-    (residual,) = term.residuals(seen, np.zeros((1, 0)))
-    assert np.abs(residual.value).max() < 1e-12
-    assert not term.present()[0] and term.present()[1:].all()
-
-
 def test_an_even_drift_of_the_field_is_met_by_its_unknowns():
     seen = motions(np.random.default_rng(6), count=1)
     drift = 1e-3 * np.array([0.4, -0.7, 0.2])  # of a field of size one, a second
@@ -179,25 +170,6 @@ def test_an_even_drift_of_the_field_is_met_by_its_unknowns():
     (before,) = term.residuals(seen, 0 * u)
     (after,) = term.residuals(seen, u)
     assert np.abs(before.value).max() > 1 and np.abs(after.value).max() < 1e-6
-
-
-def test_the_turn_about_the_sun_is_that_of_the_field():
-    rng = np.random.default_rng(7)
-    seen = motions(rng, count=1)
-    term = replace(known_field(rng), read_B=np.einsum("nij,nj->ni", seen.attitude[0], field_N()))
-    turned = seen.attitude @ Rotation.from_rotvec([0.0, 0.0, 2.1]).as_matrix()
-    attitude, _ = term.first_guess(replace(seen, attitude=turned), about_sun=False)
-    assert np.allclose(attitude, seen.attitude, atol=1e-9)
-
-
-def test_axes_along_the_field_have_it_on_z_and_turn_least():
-    term = known_field(np.random.default_rng(8))
-    unit, frames = units(field_N()), term.field_axes()
-    assert np.allclose(frames @ unit[..., None], [[0.0], [0.0], [1.0]], atol=1e-12)
-    # they turn in space if no orbit says how
-    assert FieldDirection.axes_rad_s == FIELD_TURN and not term.axes_rad_s
-    between = Rotation.from_matrix(frames[1:] @ np.swapaxes(frames[:-1], 1, 2)).magnitude()
-    assert np.allclose(between, np.arccos(np.einsum("ni,ni->n", unit[1:], unit[:-1])), atol=1e-9)
 
 
 def test_the_zero_of_a_spinner_is_what_its_strengths_show():
@@ -351,31 +323,6 @@ def test_a_wheel_that_changes_its_speed_turns_the_body_as_an_integration_does():
     assert np.allclose(by_errors[:, 0], longer, atol=0.05 * np.abs(longer).max())
     later = difference(lambda t: Ramp(2.0, 6.1, size).change(t), ramp.change) / 0.1
     assert np.allclose(by_errors[:3, 2], later[:3], atol=0.15 * np.abs(later[:3]).max())
-
-
-def test_opposite_panels_see_sun_and_earth_as_one_vector():
-    rng = np.random.default_rng(12)
-    seen = motions(rng, count=1)
-    term = panels(rng, known=False)
-    light = np.array([0.1, -0.05, 0.08])
-    u = np.zeros((1, len(term.unknowns())))
-    u[0, 6:9] = light / np.linalg.norm(term.earth.light_N[0, 0])
-    earth = EarthLight(term.earth.light_N, np.zeros(6))
-    more, _ = earth.on_panels(term.response, term.gain, seen.attitude, u[:, 6:])
-    share = more / term.full_sun
-    both = np.einsum("knij,j->kni", seen.attitude, light)
-    assert np.allclose(share[..., :3] - share[..., 3:], both, atol=1e-12)
-
-
-def test_a_search_uses_differences_of_opposite_panels():
-    term = panels(np.random.default_rng(12), known=False)
-    (loose,) = term.for_search()
-    share = term.power / term.full_sun
-    brighter = np.maximum(share - np.roll(share, 3, axis=1), 0.0)
-    assert np.allclose(loose.power / term.full_sun, brighter) and loose.earth is None
-    error = 0.03 / term.full_sun
-    assert (loose.sigma / term.full_sun >= np.hypot(error, np.roll(error, 3)) - 1e-12).all()
-    assert not loose.unknowns()
 
 
 def test_panels_in_the_shadow_must_be_dark_and_show_no_sun():
