@@ -41,17 +41,12 @@ def placed(model, **changes):
 # ---- the grid --------------------------------------------------------------------------------------------------------------
 
 
-def rate_grid(model, reference, settings=GRID):
-    """Return the grid of rates of a model with its reference where the search begins."""
-    reached = Reached.of(model, reference.limit, reference.fastest)
-    return RateGrid.of(model, model.obs.t_s[reference.others], reached, reference.edge, settings)
-
-
 @pytest.fixture(scope="module")
 def small_search():
     """Return a model with its reference where the search begins, that reference, and a grid of rates up to 0.12 rad/s."""
     model, reference = placed(lander_model(max_rate_rad_s=0.12), limit=0.12)
-    return model, reference, rate_grid(model, reference)
+    reached, times = Reached.of(model, 0.12, reference.fastest), model.obs.t_s[reference.others]
+    return model, reference, RateGrid.of(model, times, reached, reference.edge, GRID)
 
 
 def test_every_motion_of_the_prior_reaches_a_rate_that_is_searched():
@@ -134,25 +129,6 @@ def test_derivatives_of_the_differences_are_those_of_runs():
         assert np.mean(off > 0.01 * np.abs(change).max() + 1e-6) < 0.02, coordinate
 
 
-# ---- families --------------------------------------------------------------------------------------------------------------
-
-
-def family(count: int, spacing_rad_s: float, loose: float) -> LanderMotions:
-    """Return motions in a row of rates about x, which curvature leaves free by `loose` rad/s, with one unknown."""
-    omega = np.zeros((count, 3))
-    omega[:, 0] = spacing_rad_s * np.arange(count)
-    normal = np.diag([loose**-2, 1e8, 1e8, 1e6, 1e6, 1.0])
-    return LanderMotions(
-        omega,
-        np.tile(SUN, (count, 1)),
-        np.zeros((count, 1)),
-        cost=np.arange(count) * 0.1,
-        curvature=np.tile(normal, (count, 1, 1)),
-        starts=np.ones(count, dtype=int),
-        neighbours_s=np.zeros(count),
-    )
-
-
 # ---- the search ------------------------------------------------------------------------------------------------------------
 
 
@@ -176,36 +152,25 @@ def shooting(**changes) -> tuple[Shooting, Reference]:
     return Shooting(model, reference, POSTERIOR, 1), reference
 
 
-def smaller_rate(said: str) -> float:
-    return float(said.split("max_rate_rad_s=")[1].split()[0])
-
-
 def test_more_motions_than_can_be_followed_are_thinned_evenly_and_said():
     carrier, _ = shooting()
-    kept = carrier._at_most(family(100, 1.0, 0.02), 10, "(5 samples)")
+    none = np.zeros((100, 1))
+    motions = LanderMotions(none + OMEGA, none + SUN, none, cost=0.1 * np.arange(100))
+    kept = carrier._at_most(motions, 10, "(5 samples)")
     assert len(kept) == 10 and kept.cost[[0, -1]] == pytest.approx([0.0, 9.9])
     assert not carrier.complete and "more trial solutions" in carrier.notes[-1]
 
 
 def test_the_largest_rate_that_a_warning_advises_leaves_as_many_motions_as_are_followed(caplog):
-    """They are as many as the ball of rates holds, which grows with its cube; the rate is printed with two digits."""
-    carrier, reference = shooting()
-    carrier._announce(6000, 2000, 5)
-    (said,) = [record.getMessage() for record in caplog.records]
-    assert "6000 motions may fit 5 samples; 2000 of them are followed" in said
-    assert 6000 * (smaller_rate(said) / reference.prior_max_rate) ** 3 == pytest.approx(
-        2000, rel=0.1
-    )
-
-
-def test_a_long_search_for_starts_is_announced_with_a_rate_that_shortens_it_to_a_minute(caplog):
-    """Cells are as many as the ball of rates holds, which grows with its cube."""
+    """Or shortens a search of starts to a minute. Both grow with the cube of the ball of rates; two digits are printed."""
     usual, reference = shooting()
     usual.announce_starts()
     assert not caplog.records
+    usual._announce(6000, 2000, 5)
     shooting(edge=reference.limit / 150)[0].announce_starts()
-    (said,) = [record.getMessage() for record in caplog.records]
-    minutes = float(said.split("about ")[1].split()[0])
-    assert minutes * (smaller_rate(said) / reference.prior_max_rate) ** 3 == pytest.approx(
-        1.0, rel=0.1
-    )
+    many, long = (record.getMessage() for record in caplog.records)
+    assert "6000 motions may fit 5 samples; 2000 of them are followed" in many
+    minutes = float(long.split("about ")[1].split()[0])
+    for said, size, left in ((many, 6000, 2000), (long, minutes, 1.0)):
+        share = float(said.split("max_rate_rad_s=")[1].split()[0]) / reference.prior_max_rate
+        assert size * share**3 == pytest.approx(left, rel=0.1)

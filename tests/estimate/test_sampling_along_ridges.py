@@ -22,6 +22,8 @@ RATE, TURN = np.array([2e-4, 1e-4, 3e-4]), 0.02
 """Sigmas of the rates (rad/s) about a ridge, and of the direction (rad)."""
 
 REACH_S = 100.0
+STRAIGHT, CURVED = 5e-3, 3e-3
+"""How the rate x follows an unknown along a ridge (rad/s)."""
 
 BRIGHT, READ = 0.3, 0.2
 """Where the readings put the brightness, and how well, in sigmas of its prior."""
@@ -31,15 +33,13 @@ BRIGHT, READ = 0.3, 0.2
 class Bananas:
     """A posterior with a bent ridge about each motion of `omega` (M, 3) and `sun` (M, 3), which hold parts `weight` (M) of it.
 
-    The rate x follows the unknown `bend` as `straight` u + `curved` u^2 (rad/s). So the integral over the rates does not depend on
+    The rate x follows the unknown `bend` as `STRAIGHT` u + `CURVED` u^2 (rad/s). So the integral over the rates does not depend on
     it. `lowest`: the least `bend` that is possible. The other unknown is a brightness.
     """
 
     omega: np.ndarray
     sun: np.ndarray
     weight: np.ndarray
-    straight: float = 5e-3
-    curved: float = 3e-3
     lowest: float = -np.inf
     max_rate: float = 1.0
     reach_s: float = REACH_S
@@ -54,7 +54,7 @@ class Bananas:
         """Differences (K, M, 5) from the ridges, in sigmas."""
         u = motions.u[:, 0]
         ridge = np.zeros((len(u), 1, 3))
-        ridge[:, 0, 0] = self.straight * u + self.curved * u**2
+        ridge[:, 0, 0] = STRAIGHT * u + CURVED * u**2
         rate = (motions.omega[:, None] - self.omega - ridge) / RATE
         across = np.stack(tangent_basis(self.sun), axis=1)
         side = np.einsum("mai,ki->kma", across, motions.sun) / TURN
@@ -126,18 +126,18 @@ class Bananas:
         rates = (2 * np.pi) ** 1.5 * np.prod(RATE)
         return float(np.log(rates * 2 * np.pi * solid * bright))
 
-    def fit(self, which: list[int], bend: float = 0.0, sharper: float = 1.0) -> ModelFit:
-        """The motions at a value of `bend` on the ridges, with their curvature, or one that is sharper in `bend`."""
+    def fit(self, which: list[int], bend: float = 0.0) -> ModelFit:
+        """The motions at a value of `bend` on the ridges, with their curvature."""
         omega = np.array(self.omega[which])
-        omega[:, 0] += self.straight * bend + self.curved * bend**2
+        omega[:, 0] += STRAIGHT * bend + CURVED * bend**2
         u = np.tile([bend, BRIGHT / (1 + READ**2)], (len(which), 1))
         motions = LanderMotions(omega, self.sun[which], u)
         matrix = self.linearised(motions).matrix
         whole = np.zeros((len(which), 7, 7))
         rest = [0, 1, 2, 3, 4, 6]
         whole[np.ix_(range(len(which)), rest, rest)] = matrix
-        slope = (self.straight + 2 * self.curved * bend) / RATE[0]
-        whole[:, 5, 5] = (1 + slope**2) + (sharper - 1)
+        slope = (STRAIGHT + 2 * CURVED * bend) / RATE[0]
+        whole[:, 5, 5] = 1 + slope**2
         whole[:, 0, 5] = whole[:, 5, 0] = -slope / RATE[0]
         cost = -np.log(self.weight[which])
         starts = np.ones(len(which))
@@ -168,10 +168,9 @@ class Tied(Bananas):
         tied, _ = quad(lambda a: np.exp(-(a**2 + (a / 2 + a**2 / 10) ** 2) / 2), -8, 8)
         return super().log_integral + float(np.log(TIED * tied / np.sqrt(2 * np.pi)))
 
-    def fit(self, which: list[int], bend: float = 0.0, sharper: float = 1.0) -> ModelFit:
-        """The motion with friction on the curve."""
-        assert bend == 0.0
-        fit = super().fit(which, bend, sharper)
+    def fit(self, which: list[int], bend: float = 0.0) -> ModelFit:
+        """The motion with friction on the curve, at a `bend` of zero."""
+        fit = super().fit(which)
         whole = np.zeros((len(which), 8, 8))
         whole[:, :7, :7] = fit.motions.curvature
         whole[:, 7, 7] = 1.0
