@@ -1,24 +1,20 @@
 """Other models of a pass: where they begin, what each explains, and that none is tried where nothing asks for it."""
 
-from dataclasses import replace
-
 import numpy as np
-import pytest
 from scipy.spatial.transform import Rotation
 
 from sunspin.estimate.alternatives import alternatives
 from sunspin.estimate.budget import Budget
 from sunspin.estimate.evidence import ladder
-from sunspin.estimate.model import AS_STATED, Body, Model, Noise, Observations
+from sunspin.estimate.model import Body, Model, Noise, Observations
 from sunspin.estimate.one_pass import one_pass
 from sunspin.estimate.settings import RATES
 from sunspin.estimate.solutions import solutions
 from sunspin.estimate.swings import SWINGS
 from sunspin.estimate.terms.directions import SunDirections
 from tests.support.chains import problem
-from tests.support.passes import stated_model
 from tests.support.vehicles import units
-from validation.passes import judge, make
+from validation.passes import judge
 
 ALTERNATIVES = RATES.alternatives
 
@@ -67,26 +63,6 @@ def test_a_rotation_is_not_taken_for_an_oscillation():
     assert solved.model[0] != SWINGS and solved.probability[0] > 0.9
     assert np.all(np.abs(solved.mean[0] - rate) < np.radians(0.05))
     assert np.all(solved.mean_sigma[0] < np.radians(0.05))
-
-
-@pytest.fixture(scope="module")
-def fits():
-    """Return the fits of three samples with a gyro and a magnetometer, whose field may pull at a dipole of any size."""
-    simulated = make("few samples", 0, 2)
-    model = stated_model(*simulated[:2], rate_sigma=simulated.max_rate_rad_s / 2)
-    assert any(len(unknown.shares) > 1 for unknown in model.unknowns)
-    every = one_pass(model, RATES, Budget.of(1.0)).fits
-    return [one for one in every if one.model.what == AS_STATED]
-
-
-def test_a_fit_ends_near_enough_for_its_evidence(fits):
-    """A tenth of the tolerance moves no log evidence by 0.02."""
-    for one in fits:
-        finer = replace(RATES.ladder, rungs=(one.model.noise.acceleration,), tolerance=1e-5)
-        (again,) = ladder(
-            one.model, one.to_begin_from, finer, RATES.search, one.model.noise.acceleration
-        )
-        assert abs(again.log_evidence.max() - one.log_evidence.max()) < 0.02
 
 
 def test_a_torque_that_may_point_two_ways_is_fitted_from_both():

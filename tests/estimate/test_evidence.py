@@ -2,7 +2,6 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from functools import cache
 from importlib import import_module
 
 import numpy as np
@@ -13,10 +12,9 @@ from scipy.special import logsumexp
 from sunspin.estimate.between import link_passes
 from sunspin.estimate.budget import Budget
 from sunspin.estimate.chain import costs, fit, log_left_out, propagate
-from sunspin.estimate.evidence import PassFits, best_motions, ladder, share_noise, sum_over_shares
+from sunspin.estimate.evidence import PassFits, ladder, share_noise, sum_over_shares
 from sunspin.estimate.model import Body, Model, Noise, Observations, States, Track
 from sunspin.estimate.one_pass import one_pass
-from sunspin.estimate.quick import MOTIONS, quick_evidence
 from sunspin.estimate.settings import RATES, LadderSettings, SearchSettings, SolutionSettings
 from sunspin.estimate.solutions import solutions
 from sunspin.estimate.swings import fits_of_oscillation, log_mean_likelihood
@@ -133,21 +131,6 @@ def test_a_motion_that_ends_on_its_way_under_the_first_torques_is_followed_down_
     best, again = under_weak(motions, LADDER), under_weak(poor, hurried)
     assert first.log_evidence[0] < best - LADDER.hopeless
     assert np.isclose(again, best, atol=0.1)
-
-
-@cache
-def stated():
-    """Return the model of a pass of twenty samples."""
-    return stated_model(CUBE, tumbling_pass(CUBE, 20, 12.0, seed=4)[0])
-
-
-def test_motions_that_are_known_have_the_evidence_of_a_search():
-    model = stated()
-    known = best_motions(one_pass(model, RATES, Budget.of(1.0)).fits, MOTIONS, RATES.search)
-    searched = quick_evidence(model, RATES, Budget.of(1.0))
-    spared = Budget.of(1.0)
-    assert abs(quick_evidence(model, RATES, spared, known) - searched) < 0.05
-    assert spared.used == 0
 
 
 def test_a_body_of_uncertain_inertia_that_wants_strong_torques_is_searched_under_them(monkeypatch):

@@ -199,7 +199,7 @@ def test_rates_of_times_in_whole_seconds_are_decided_and_within_their_errors():
 
     The sigmas of the same pass with exact times are much smaller.
     """
-    made, exact = (made_pass(1, 5.3, rounded) for rounded in (True, False))
+    made, exact = (made_pass(2, 5.3, rounded) for rounded in (True, False))
     result, of_exact = (ss.rates(one.vehicle, one.telemetry) for one in (made, exact))
     assert result["decided"].values[0] and "count as rounded" in result.attrs["verdict"]
     assert np.abs(errors_in_sigmas(result, made.omega)).max() < 4.5

@@ -244,84 +244,83 @@ def test_gravity_turns_the_long_axis_to_the_earth():
     assert np.allclose(pushed, np.concatenate([50 * pull, 10 * pull]), rtol=1e-9, atol=1e-15)
 
 
+MOMENTS = np.diag([1.2, 1.0, 0.8])
+DT, SIZE = 8.0, 1e-6
+
+
+def integrated(omega, wheel, push=lambda turned: np.zeros(3)):
+    """Return attitude and rate after DT, by another integrator: with a momentum wheel(t) and a torque by attitude."""
+
+    def change(t, y):
+        total, turned = y[:3], y[3:].reshape(3, 3)
+        rate = np.linalg.solve(MOMENTS, total - wheel(t))
+        turning = -np.cross(rate, turned, axisb=0, axisc=0)
+        return np.concatenate([np.cross(total, rate) + push(turned), turning.ravel()])
+
+    start = np.concatenate([omega @ MOMENTS + wheel(0.0), np.eye(3).ravel()])
+    precise = {"method": "DOP853", "rtol": 1e-12, "atol": 1e-14, "max_step": 0.5}
+    y = solve_ivp(change, (0, DT), start, **precise).y[:, -1]
+    return y[3:].reshape(3, 3), np.linalg.solve(MOMENTS, y[:3] - wheel(DT))
+
+
+def difference(first, second):
+    """Return by how much attitude and rate (6) of a second motion differ from those of a first one."""
+    return np.concatenate([rotation_between(first[0], second[0]), second[1] - first[1]])
+
+
 @pytest.mark.parametrize("frame", ["B", "N"])
 def test_a_constant_torque_pushes_as_an_integration_with_it_does(frame):
-    inertia, size, dt = np.diag([1.2, 1.0, 0.8]), 1e-6, 8.0
     momentum, omega = np.array([0.0, 0.01, 0.0]), np.array([0.05, -0.02, 0.08])
     attitude = facing(np.array([0.6, 0.0, 0.8]))
-    torque = ConstantTorque(frame, 1.0, (1.0,), inertia, np.tile(momentum, (2, 1)))
+    torque = ConstantTorque(frame, 1.0, (1.0,), MOMENTS, np.tile(momentum, (2, 1)))
     seen = States(np.tile(attitude, (1, 2, 1, 1)), np.tile(omega, (1, 2, 1)))
-    push = torque.added_by_unknowns(seen, np.array([dt]))[0, 0]
+    push = torque.added_by_unknowns(seen, np.array([DT]))[0, 0]
 
-    def end(torque_B_or_N):
-        """Return attitude and rate after dt with a torque, by Euler's equations in another integrator."""
+    def end(axis):
+        """Return the end of a motion under a torque along an axis of the body or of space."""
 
-        def change(_, y):
-            turned = y[3:].reshape(3, 3)
-            rate = np.linalg.solve(inertia, y[:3] - momentum)
-            push = torque_B_or_N if frame == "B" else turned @ attitude @ torque_B_or_N
-            turning = -np.cross(rate, turned, axisb=0, axisc=0)
-            return np.concatenate([np.cross(y[:3], rate) + push, turning.ravel()])
+        def of_attitude(turned):
+            return SIZE * (axis if frame == "B" else turned @ attitude @ axis)
 
-        start = np.concatenate([omega @ inertia + momentum, np.eye(3).ravel()])
-        y = solve_ivp(change, (0, dt), start, method="DOP853", rtol=1e-12, atol=1e-14).y[:, -1]
-        return y[3:].reshape(3, 3), np.linalg.solve(inertia, y[:3] - momentum)
+        return integrated(omega, lambda t: momentum, of_attitude)
 
     free = end(np.zeros(3))
-    for axis in range(3):
-        pushed = end(size * np.eye(3)[axis])
-        turn = rotation_between(free[0], pushed[0])
-        change = np.concatenate([turn, pushed[1] - free[1]]) / size
-        assert np.allclose(push[:, axis], change, rtol=0.03, atol=0.03 * np.abs(change).max())
+    for k, axis in enumerate(np.eye(3)):
+        change = difference(free, end(axis)) / SIZE
+        assert np.allclose(push[:, k], change, rtol=0.03, atol=0.03 * np.abs(change).max())
 
 
 def test_a_wheel_that_changes_its_speed_turns_the_body_as_an_integration_does():
     """Along a ramp within the interval, and by each error of the ramp and of the momentum at the knots."""
-    inertia, dt, size = np.diag([1.2, 1.0, 0.8]), 8.0, 1e-6
     axis, omega = np.array([0.0, 0.6, 0.8]), np.array([0.03, -0.02, 0.05])
     h = np.array([0.0, 0.01, 0.0])
-    t_s, ramp = np.array([0.0, dt]), Ramp(2.0, 6.0, size)
+    t_s, ramp = np.array([0.0, DT]), Ramp(2.0, 6.0, SIZE)
     momentum = h + np.outer(ramp.change(t_s), axis)
-    wheel = WheelChange(t_s, axis, ramp, 1.0, inertia, momentum)
+    wheel = WheelChange(t_s, axis, ramp, 1.0, MOMENTS, momentum)
     seen = States(np.tile(np.eye(3), (1, 2, 1, 1)), np.tile(omega, (1, 2, 1)))
 
-    def end(lost):
-        """Return attitude and rate after dt if the wheel's momentum has grown by lost(t), by another integrator."""
-
-        def change(t, y):
-            total, turned = y[:3], y[3:].reshape(3, 3)
-            rate = np.linalg.solve(inertia, total - h - lost(t) * axis)
-            turning = -np.cross(rate, turned, axisb=0, axisc=0)
-            return np.concatenate([np.cross(total, rate), turning.ravel()])
-
-        start = np.concatenate([omega @ inertia + h + lost(0.0) * axis, np.eye(3).ravel()])
-        run = solve_ivp(
-            change, (0, dt), start, method="DOP853", rtol=1e-12, atol=1e-14, max_step=0.5
+    def change(lost, before):
+        """Return what a change of the wheel's momentum, lost(t), adds to that of another one."""
+        return difference(
+            *(integrated(omega, lambda t, f=f: h + f(t) * axis) for f in (before, lost))
         )
-        total, turned = run.y[:3, -1], run.y[3:, -1].reshape(3, 3)
-        return turned, np.linalg.solve(inertia, total - h - lost(dt) * axis)
-
-    def difference(lost, before):
-        first, second = end(before), end(lost)
-        return np.concatenate([rotation_between(first[0], second[0]), second[1] - first[1]])
 
     def straight(t):
-        return size * t / dt
+        return SIZE * t / DT
 
-    known = wheel.added_by_torque(seen, np.array([dt]))[0, 0]
-    exact = difference(lambda t: ramp.change(t), straight)
+    known = wheel.added_by_torque(seen, np.array([DT]))[0, 0]
     # a ramp in the middle is even about it
-    assert np.abs(known).max() < 1e-12 and np.abs(exact).max() < 0.1 * size
-    late = replace(wheel, ramp=Ramp(5.0, 7.0, size))
-    known = late.added_by_torque(seen, np.array([dt]))[0, 0]
-    exact = difference(lambda t: late.ramp.change(t), straight)
+    assert np.abs(known).max() < 1e-12 and np.abs(change(ramp.change, straight)).max() < 0.1 * SIZE
+    late = replace(wheel, ramp=Ramp(5.0, 7.0, SIZE))
+    known = late.added_by_torque(seen, np.array([DT]))[0, 0]
+    exact = change(late.ramp.change, straight)
     # the body turns by 0.5 rad in the interval; to first order in that
     assert np.allclose(known[:3], exact[:3], atol=0.15 * np.abs(exact[:3]).max())
 
-    by_errors = wheel.added_by_unknowns(seen, np.array([dt]))[0, 0]
-    longer = difference(lambda t: 1.1 * ramp.change(t), ramp.change) / 0.1
+    by_errors = wheel.added_by_unknowns(seen, np.array([DT]))[0, 0]
+    longer = change(lambda t: 1.1 * ramp.change(t), ramp.change) / 0.1
     assert np.allclose(by_errors[:, 0], longer, atol=0.05 * np.abs(longer).max())
-    later = difference(lambda t: Ramp(2.0, 6.1, size).change(t), ramp.change) / 0.1
+    later = change(Ramp(2.0, 6.1, SIZE).change, ramp.change) / 0.1
     assert np.allclose(by_errors[:3, 2], later[:3], atol=0.15 * np.abs(later[:3]).max())
 
 
