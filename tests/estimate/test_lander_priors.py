@@ -62,10 +62,9 @@ def test_brightness_is_estimated_if_no_sample_gives_a_direction_and_most_are_dar
     assert guess == pytest.approx(0.37, rel=0.12)
 
 
-@pytest.mark.parametrize("number", [18, 21])
-def test_noise_on_dark_panels_does_not_change_the_brightness(number):
-    """By the lit threshold of 1 mW alone these are 26 and 16 % too low; of 60 such files one was off by a factor of five."""
-    case, philae = list(posterior_cases.cases(0))[number], load_case("philae").vehicle
+def test_noise_on_dark_panels_does_not_change_the_brightness():
+    """By the lit threshold of 1 mW alone it is 26 % too low; of 60 such files one was off by a factor of five."""
+    case, philae = list(posterior_cases.cases(0))[18], load_case("philae").vehicle
     telemetry, _, noise = posterior_cases.simulate(case)
     vehicle = replace(philae, telemetry=replace(philae.telemetry, noise=case.stated * noise))
     guess = observe_window(assess(vehicle, telemetry)).obs.terms[0].brightness
@@ -196,7 +195,7 @@ def test_a_wheel_too_fast_for_the_window_is_refused_with_a_window_that_works():
     searched(slow, 20)
 
 
-@pytest.mark.parametrize("rate", [5.0, 1e3, 1e20, 1e30])
+@pytest.mark.parametrize("rate", [5.0, 1e30])
 def test_a_prior_with_too_many_starts_is_refused_with_their_number_and_the_limit(rate):
     case = load_case("philae")
     assessment = assess(case.vehicle, case.telemetry)

@@ -38,7 +38,7 @@ class Flight(Simulated):
         return sun_in_shadow(self.orbit(**options), assess(vehicle, data), ORBIT.span)
 
 
-@pytest.mark.parametrize("late_s", [0.0, 10.0, -10.0])
+@pytest.mark.parametrize("late_s", [10.0, -10.0])
 def test_right_elements_with_a_clock_off_by_seconds_do_not_contradict_the_light(late_s):
     for seed, step_s in ((0, 20.0), (1, 5.0)):
         flight = Flight(seed, step_s=step_s)

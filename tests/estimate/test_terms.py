@@ -201,7 +201,7 @@ def test_a_zero_that_is_exact_on_one_axis_stays_so_on_that_axis():
     assert abs((read - term.field_B)[0, 2]) < 1e-3
 
 
-@pytest.mark.parametrize("size", [0.0, 1e-7, 0.01, 3.0])
+@pytest.mark.parametrize("size", [0.0, 0.01, 3.0])
 @pytest.mark.parametrize("known", [False, True])
 def test_a_magnetic_torque_is_averaged_over_revolutions(size, known):
     rng = np.random.default_rng(11)
