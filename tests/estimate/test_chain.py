@@ -117,6 +117,19 @@ WEAK = 5e-6
 """rad/s^1.5; the weakest torques of `rates`, under which steps that are straight creep."""
 
 
+def test_a_sphere_turns_evenly_as_a_body_that_is_nearly_one_is_integrated():
+    rng = np.random.default_rng(4)
+    omega, dt = 0.2 * rng.normal(size=(3, 4, 3)), np.array([10.0, -3.0, 0.0, 40.0])
+    still = np.zeros((4, 3)), np.zeros((4, 3))
+    even = step(np.eye(3), omega, dt, still, True)
+    nearly = step(np.eye(3) + np.diag([1e-12, 0.0, 0.0]), omega, dt, still, True)
+    assert np.allclose(even.turned, nearly.turned, atol=1e-3)  # the steps' own error
+    assert np.allclose(even.omega, nearly.omega, atol=1e-9)
+    by_start = even.by_start - nearly.by_start
+    assert np.allclose(by_start[..., :3, 3:], 0.0, atol=2e-2)
+    assert np.allclose(by_start[..., 3:, :], 0.0, atol=1e-6)
+
+
 def test_the_true_motion_of_a_body_without_an_inertia_costs_little_under_weak_torques():
     """A body at 7 deg/s, samples 34 s apart: by straight steps alone its cost is 140, more than that of its slower alias."""
     vehicle, telemetry, truth = sparse_pass(11, 9)

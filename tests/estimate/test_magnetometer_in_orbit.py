@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from sunspin.environment.field import MODEL_SIGMA_T
 from sunspin.environment.orbit import SunAlongZ
-from sunspin.estimate.orbit.attitudes import FIRST_SENSOR
+from sunspin.estimate.orbit.attitudes import FIRST_SENSOR, OrbitModel, OrbitState
 from sunspin.estimate.orbit.calibration import (
     SUN_TURNED_RAD,
     Calibration,
@@ -22,11 +22,12 @@ from sunspin.estimate.orbit.invariants import (
     MATRIX,
     ZERO,
     MagnetometerModel,
+    MagnetometerState,
     Predicted,
     Sky,
     fit_magnetometer,
 )
-from sunspin.estimate.orbit.readings import Readings
+from sunspin.estimate.orbit.readings import Readings, orbit_readings
 from sunspin.telemetry.assess import assess
 from tests.support.calibration_cases import calibration_case, orbit_of_case
 from tests.support.orbit_cases import check_case, orbit_of
@@ -91,6 +92,53 @@ def test_an_exact_linear_sensor_gives_back_its_matrix_and_zero_whatever_the_atti
         np.testing.assert_allclose(fitted.matrix_T, 4e-5 * matrix, atol=4e-8)
         np.testing.assert_allclose(fitted.zero, zero, atol=1e-3)
         assert fitted.strength[1] < 1e-8 and fitted.angle[1] < 1e-3
+
+
+@pytest.mark.parametrize("of_readings", [False, True])
+def test_the_jacobian_of_strength_and_angle_is_that_of_their_residuals(of_readings):
+    readings, predicted = aligned(np.random.default_rng(1), 20)
+    model = MagnetometerModel(readings, 200.0, 3e-5, of_readings=of_readings)
+    unknown = 0.2 * np.random.default_rng(2).normal(size=(1, 12))
+    scatter, scale = np.array([[0.1, 0.7]]), np.ones(1)
+    parts = (predicted.strength / 3e-5, predicted.toward / 3e-5, scatter, scale)
+    state = MagnetometerState(unknown, *parts)
+    for which, (_, jacobian) in enumerate(model.residuals(state)):
+
+        def residual(step, which=which):
+            return model.residuals(state._replace(unknown=unknown + step))[which][0]
+
+        for k, step in enumerate(1e-6 * np.eye(12)):
+            expected, atol = slope_of(residual, step, 1e-6), 1e-5 * np.abs(jacobian).max()
+            np.testing.assert_allclose(jacobian[..., k], expected, rtol=1e-5, atol=atol)
+
+
+def test_the_gradient_with_attitudes_projected_out_is_that_of_the_cost():
+    """Of every unknown: matrix, zero, offset, drift, and biases and scales of two Sun sensors, one of them with a rotated y."""
+    case = calibration_case(2, 1, gyro=False)
+    data = case.telemetry.isel(time=slice(0, None, 4))
+    orbit = orbit_of_case(case, data)
+    sensors = replace(case.vehicle.sensors, sun_sensors=case.vehicle.sensors.sun_sensors[:2])
+    vehicle = replace(case.vehicle, sensors=sensors)
+    readings = orbit_readings(assess(case.vehicle, data), 100)
+    field, turned = readings.field / 4e4, readings.t_s[:, None] % 50 < [0, 25]
+    readings = readings._replace(field=field, angle=readings.angle[:, :2], y_turned=turned)
+    sky = Sky.along(orbit, readings.t_s, np.arange(-60.0, 61.0, 20.0))
+    rng = np.random.default_rng(0)
+    unknown = 0.05 * rng.normal(size=24)
+    model = OrbitModel(vehicle, readings, sky, 4e-5, np.eye(24))
+    attitude = model.triad_attitudes(unknown)
+    for _ in range(20):  # to the attitudes that fit best
+        attitude = model.project_out_attitudes(unknown, attitude).attitude
+    state = OrbitState(unknown[None], attitude[None])
+    gradient = model.linearise(state).slope[0]
+
+    def cost(step):
+        return model.linearise(state._replace(unknown=state.unknown + step)).cost[0]
+
+    for k, step in enumerate(1e-5 * np.eye(24)):
+        off = abs(slope_of(cost, step, 1e-5) - gradient[k])
+        assert off < 0.02 * abs(gradient[k]) + 1e-3, k
+    assert (np.abs(gradient) > 0.01).all()
 
 
 def test_noise_of_the_magnetometer_shrinks_its_matrix_less_by_the_distance_of_readings():

@@ -290,6 +290,16 @@ def test_a_period_at_a_time_of_no_pass_is_refused():
         pd.weigh_by_periods([one], body, [ss.Period(200.0, 25.0, 0.5)], [0])
 
 
+def test_drawn_inertias_scatter_as_the_file_says_and_a_sphere_has_one():
+    rng = np.random.default_rng(0)
+    body = Body.of(WHEELED)
+    drawn = np.concatenate([pd.draw_inertias(body, rng) for _ in range(200)])
+    spread = np.sqrt(((drawn - body.inertia) ** 2).mean(axis=0))
+    np.testing.assert_allclose(spread, np.abs(body.errors).max(axis=0), rtol=0.1)
+    sphere = Body.of(replace(WHEELED, inertia_kg_m2=None, wheels=()))
+    assert (pd.draw_inertias(sphere, rng) == np.eye(3)).all()
+
+
 def test_rates_with_a_period_keep_probabilities_with_and_without_it():
     simulated, period = make_period(0, 0)
     result = estimate(simulated, periods=[period], column_tests=False)

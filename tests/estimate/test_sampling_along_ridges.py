@@ -1,6 +1,8 @@
 """Draws along ridges against densities whose integral, weights and moments are known in closed form."""
 
 from dataclasses import dataclass, replace
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -8,10 +10,10 @@ from scipy.integrate import quad
 from scipy.special import logsumexp
 
 from sunspin.estimate.budget import Budget
-from sunspin.estimate.lander.mixture import join_models
+from sunspin.estimate.lander.mixture import Mixture, join_models
 from sunspin.estimate.lander.motions import Draws, LanderMotions, ModelFit
 from sunspin.estimate.lander.ridges import ridges_of
-from sunspin.estimate.lander.sample import predictive_check, sample
+from sunspin.estimate.lander.sample import predictive_check, resampled, sample
 from sunspin.estimate.lander.target import MotionSlopes
 from sunspin.estimate.model import Unknown
 from sunspin.estimate.settings import SAMPLING
@@ -307,6 +309,36 @@ def test_regions_of_two_models_are_one_if_they_differ_by_a_bend():
     assert shares(joined) == pytest.approx([1.0])
     parted = join_models([of_model(0.0, [0.0]), of_model(-1.0, [turned])], REACH_S)
     assert shares(parted) == pytest.approx([1 / (1 + np.exp(-1)), 1 / (1 + np.e)])
+
+
+def test_resampled_draws_are_proportional_to_the_weights():
+    draws = of_model(0.0, [0.0], n=3)
+    draws = replace(draws, log_weight=np.log([1.0, 2.0, 5.0]))
+    picked = resampled(draws.log_weight, 800, np.random.default_rng(0))
+    assert np.bincount(picked).tolist() == pytest.approx([100, 200, 500], abs=1)
+
+
+def test_draws_of_two_models_are_evaluated_once_each_and_keep_their_places():
+    motions = LanderMotions(
+        np.arange(15.0).reshape(5, 3), np.tile([0.0, 0.0, 1.0], (5, 1)), np.zeros((5, 1))
+    )
+    of_model, region, none = np.array([1, 0, 0, 1, 1]), np.zeros(5, dtype=int), np.zeros(5)
+    draws = Draws(motions, none, of_model, region, effective=5.0, pareto_k=0.0, log_evidence=0.0)
+    fits: list[Any] = [
+        SimpleNamespace(model=SimpleNamespace(unknowns=("brightness",), offset=offset))
+        for offset in (0.0, 100.0)
+    ]
+    mix = Mixture(tuple(fits), draws, np.full(2, 0.5), np.ones(1), workers=2)
+    evaluated: list[int] = []
+
+    def of_one(model: Any, motions: LanderMotions) -> tuple[np.ndarray]:
+        evaluated.append(len(motions))
+        return (model.offset + motions.omega,)
+
+    index = np.array([4, 0, 4, 2, 1, 0])
+    (value,) = mix.evaluate(index, of_one)
+    np.testing.assert_array_equal(value, motions.omega[index] + 100.0 * of_model[index][:, None])
+    assert sorted(evaluated) == [2, 2]
 
 
 def test_readings_that_no_motion_explains_have_no_chance():

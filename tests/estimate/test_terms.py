@@ -14,6 +14,7 @@ from sunspin.estimate.model import Body, Model, Noise, Observations, States, Tra
 from sunspin.estimate.observe import observe
 from sunspin.estimate.settings import FIELD_TURN
 from sunspin.estimate.terms.directions import SunDirections
+from sunspin.estimate.terms.earth_light import EarthLight
 from sunspin.estimate.terms.field import FieldChange, KnownField
 from sunspin.estimate.terms.inertial import AttitudeChange, GyroRates, Latency, RateMagnitudes
 from sunspin.estimate.terms.panels import DEFAULT_EARTH_SHARE, Panels, ReadingTimes
@@ -322,6 +323,20 @@ def test_a_wheel_that_changes_its_speed_turns_the_body_as_an_integration_does():
     assert np.allclose(by_errors[:, 0], longer, atol=0.05 * np.abs(longer).max())
     later = change(Ramp(2.0, 6.1, SIZE).change, ramp.change) / 0.1
     assert np.allclose(by_errors[:3, 2], later[:3], atol=0.15 * np.abs(later[:3]).max())
+
+
+def test_opposite_panels_see_sun_and_earth_as_one_vector():
+    rng = np.random.default_rng(12)
+    seen = motions(rng, count=1)
+    term = panels(rng, known=False)
+    light = np.array([0.1, -0.05, 0.08])
+    u = np.zeros((1, len(term.unknowns())))
+    u[0, 6:9] = light / np.linalg.norm(term.earth.light_N[0, 0])
+    earth = EarthLight(term.earth.light_N, np.zeros(6))
+    more, _ = earth.on_panels(term.response, term.gain, seen.attitude, u[:, 6:])
+    share = more / term.full_sun
+    both = np.einsum("knij,j->kni", seen.attitude, light)
+    assert np.allclose(share[..., :3] - share[..., 3:], both, atol=1e-12)
 
 
 def test_panels_in_the_shadow_must_be_dark_and_show_no_sun():

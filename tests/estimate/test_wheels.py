@@ -110,6 +110,15 @@ def test_the_wheel_of_a_later_pass_coasts_from_the_first_sample_of_the_file():
     assert whole[COASTING][8, 1] < 0.6 * whole[HELD][8, 1]  # it lost speed before the later pass
 
 
+def test_momenta_of_wheels_add_up_and_lie_along_their_axes(seen):
+    data, _ = seen
+    each = momentum_of_each(TWO, data, HELD)
+    np.testing.assert_allclose(each.sum(axis=0), wheel_models(TWO, data)[HELD], atol=1e-12)
+    unit = np.trace(TWO.inertia_kg_m2) / 3
+    np.testing.assert_allclose(each[0], np.tile([0, 3e-4 * 40 / unit, 0], (20, 1)), atol=1e-12)
+    np.testing.assert_allclose(each[1], np.tile([-2e-4 * 30 / unit, 0, 0], (20, 1)), atol=1e-12)
+
+
 def test_each_wheel_and_all_are_reversed_unless_they_hardly_turn_the_rate_or_wrap(seen):
     data, _ = seen
     t_s, inertia = data["time"].values, Body.of(TWO).inertia
