@@ -24,7 +24,6 @@ from validation.passes import (
     spin,
     unit,
 )
-from validation.passes import observe as observe_passes
 
 
 @pytest.fixture(scope="module")
@@ -93,7 +92,7 @@ def test_a_zero_that_is_off_within_its_stated_sigma_is_estimated():
     rng = np.random.default_rng(5)
     t_s = draw_times(rng, 24, 10.0)
     omega, attitude = spin(np.radians(2.0) * unit(rng), t_s)
-    simulated = observe_passes(FACES, omega, attitude, t_s, 0.02, rng, gyro=True)
+    simulated = observe(FACES, omega, attitude, t_s, 0.02, rng, gyro=True)
     off = 2e-3 * np.array([1.0, -1.0, 0.5])
     read = omega + off + GYRO.noise_rad_s * rng.normal(size=omega.shape)
     data = simulated.telemetry.assign(gyro_B=(("time", "axis"), read))
