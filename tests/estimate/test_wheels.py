@@ -157,10 +157,11 @@ def test_reversed_wheels_are_searched_under_what_the_wheels_are_decided_to_do(
 
 
 def test_results_with_a_wheel_do_not_depend_on_the_number_of_workers(seen):
-    data = seen[0].isel(time=slice(8))
-    one, two = (
-        rates(SLOWING, data, max_rate_rad_s=0.06, column_tests=False, workers=k) for k in (1, 2)
-    )
+    """Of a wheel that slows down so much that its models, held and coasting, are searched for each."""
+    slowing = replace(WHEEL, friction=Friction(coulomb_N_m=1.2e-5))
+    craft, data = replace(ONE, wheels=(slowing,)), seen[0].isel(time=slice(8))
+    options = {"max_rate_rad_s": 0.06, "column_tests": False}
+    one, two = (rates(craft, data, workers=k, **options) for k in (1, 2))
     xr.testing.assert_identical(one, two)
 
 
