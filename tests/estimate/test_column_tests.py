@@ -216,6 +216,9 @@ def test_a_magnetometer_is_accused_if_the_sun_alone_allows_no_such_motion(sun, a
 
 
 @pytest.mark.evidence("rates", "modelled", "a magnetometer along other axes")
+@pytest.mark.evidence(
+    "rates", "modelled", "simulated spinners whose magnetometer is read along other axes"
+)
 def test_a_magnetometer_along_other_axes_is_named(tmp_path):
     """Its zero and matrix take up the error: the pass was decided more than five sigma off."""
     truth = spinners.make(spinners.cases(31, 3)[2], tmp_path)
