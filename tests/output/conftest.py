@@ -124,7 +124,8 @@ def user_runs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
         telemetry.write_text("".join(lines[:SAMPLES]), "utf-8")
         data = str(vehicle), str(telemetry)
         sunspin("sun", *data, "--out", str(root / "sun"))
-        sunspin("rates", *data, "--max-rate-deg-s", "5", "--out", str(root / "rates"))
+        quick = "--max-rate-deg-s=5", "--effort=0.1", "--no-column-tests"
+        sunspin("rates", *data, *quick, "--out", str(root / "rates"))
         grid = [f"--omega-{axis}-deg-s=-6:6:3" for axis in "xyz"]
         sunspin("scan", *data, *grid, "--lines", "0", "--out", str(root / "scan"))
         known = [f"--prior={key}=0" for key in "inertia friction wheel_speed steady_torque".split()]

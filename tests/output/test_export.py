@@ -102,7 +102,7 @@ def test_a_celestial_frame_is_refused_without_a_second_direction(result):
     assert build_attitude(known).frame == "EME2000"
 
 
-def test_a_motion_simulated_backward_is_exported_in_the_order_of_time(result, tmp_path):
+def test_a_motion_simulated_backward_is_exported_in_the_order_of_time(tmp_path, undrawn):
     run = ss.propagate(BODY, [0.02, -0.05, 0.03], [0.0, 0.6, 0.8], None, -np.arange(0, 100, 2.5))
     assert not np.signbit(run["time"].values[0])  # zero, which would else be printed as -0
     data, _ = read_attitude_data(run.sunspin.save(tmp_path / "results"))
@@ -150,7 +150,7 @@ def test_a_kernel_covers_the_ends_of_passes_also_after_a_leap_second(sparse, tmp
 
 
 @pytest.mark.evidence("compare", "verified", "kernels written here with rates changed by 2 %")
-def test_a_comparison_with_kernels_finds_a_changed_motion(result, tmp_path, reached):
+def test_a_comparison_with_kernels_finds_a_changed_motion(result, tmp_path, reached, undrawn):
     """Kernels in the place of ESA's of Philae: written here, in a celestial frame, with the rates changed by a known factor."""
     pytest.importorskip("spiceypy")
     result = result.assign_attrs(celestial_frame="J2000")
@@ -278,7 +278,7 @@ def test_exported_netcdf_and_parquet_state_frame_and_units(result, tmp_path):
     assert np.array_equal(table["q_w_B_from_N"].to_numpy(), attitude.quaternion[:, 3])
 
 
-def test_results_without_a_usable_attitude_are_refused_in_one_sentence(result, tmp_path):
+def test_results_without_a_usable_attitude_are_refused_in_one_sentence(result, tmp_path, undrawn):
     with pytest.raises(ss.InputError, match="not a results folder"):
         read_attitude_data(tmp_path)
     vehicle, telemetry = ss.load_example()

@@ -49,7 +49,7 @@ def test_the_axis_of_leg_tip_speeds_ends_at_the_fastest_one(landing):
     assert axes.get_xlim() == pytest.approx((0.0, fastest))
 
 
-def test_the_first_sentence_of_a_landing_compares_the_commands(landing, tmp_path):
+def test_the_first_sentence_of_a_landing_compares_the_commands(landing, tmp_path, undrawn):
     """Further lines of the command follow it, and do not part the head of a strategy from its numbers."""
     landing.sunspin.save(tmp_path / "out", lines=["Candidates: as given"])
     sentences = json.loads((tmp_path / "out" / "summary.json").read_text("utf-8"))["sentences"]

@@ -217,8 +217,8 @@ def test_the_command_reads_the_results_folder_of_rates(tmp_path, undrawn, monkey
     monkeypatch.chdir(tmp_path)
     run = CliRunner()
     assert run.invoke(cli, ["init", "."]).exit_code == 0
-    given = ["rates", "vehicle.toml", "telemetry.csv", "--max-rate-deg-s", "5", "--quiet"]
-    assert run.invoke(cli, [*given, "--out", "rates"]).exit_code == 0
+    given = "rates vehicle.toml telemetry.csv --max-rate-deg-s 5 --effort 0.1 --no-column-tests"
+    assert run.invoke(cli, [*given.split(), "--quiet", "--out", "rates"]).exit_code == 0
     words = ["pointing", "rates", "--axis", "+z", "--axis", "0,0.6,0.8", "--out", "p"]
     done = run.invoke(cli, words)
     assert done.exit_code == 0, done.output

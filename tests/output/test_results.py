@@ -2,6 +2,7 @@
 
 import json
 import re
+from functools import cache
 from importlib import import_module
 
 import numpy as np
@@ -30,6 +31,7 @@ def scan():
     return ss.scan(VEHICLE, [0.1, 0.3, 0.6], SUN, *grid, SPEED, 300.0)
 
 
+@cache
 def rates():
     t = np.arange(0.0, 300.0, 30.0)
     turn = np.radians(0.6) * t
