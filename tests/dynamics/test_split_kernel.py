@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import sunspin as ss
-from sunspin.dynamics import batch, principal
+from sunspin.dynamics import batch
 from sunspin.dynamics.kernels import split
 from sunspin.dynamics.kernels.rows import L
 from sunspin.dynamics.processor import njit
@@ -43,15 +43,6 @@ def emd(one, two):
 
 # ---- flows ---------------------------------------------------------------------------------------
 @njit
-def sines_and_cosines(angles):
-    """The polynomials (n, 2) at angles (n)."""
-    out = np.empty((len(angles), 2), np.float32)
-    for i in range(len(angles)):
-        out[i, 0], out[i, 1] = split.sine_cosine(angles[i])
-    return out
-
-
-@njit
 def half_steps(w, part, there_and_back):
     """Take the first half of a step and, if asked for, its reverse with time running backward."""
     for k in range(3):
@@ -80,14 +71,6 @@ def lanes_of_numbers(rng, side=0.6):
     rows[split.W0 // L : split.W0 // L + 3] = rng.uniform(-0.5, 0.5, (3, L)) * spread
     rows[split.W1 // L : split.W1 // L + 3] = 0.01 * rng.uniform(-1, 1, (3, L))
     return w.astype(np.float32)
-
-
-def test_sines_are_exact_to_single_precision_for_every_angle_of_a_flow():
-    main = principal.MOST_MAIN_ANGLE * np.abs(split.MAIN).max()
-    side = principal.MOST_SIDE_ANGLE * np.abs(split.SIDE).max()
-    angles = np.linspace(-1, 1, 2001).astype(np.float32) * np.float32(max(main, side))
-    exact = np.stack([np.sin(angles.astype(float)), np.cos(angles.astype(float))], axis=1)
-    assert np.abs(sines_and_cosines(angles) - exact).max() < 7e-8
 
 
 def test_flows_are_rotations_and_the_second_half_of_a_step_reverses_the_first():

@@ -6,6 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 import xarray as xr
+from scipy.spatial.transform import Rotation
 
 import sunspin as ss
 from sunspin.output.export import (
@@ -44,8 +45,6 @@ def matrix_of_standard(q):
 
 
 def body_from_n(result):
-    from scipy.spatial.transform import Rotation
-
     return Rotation.from_quat(result["B_from_N"].values).as_matrix()
 
 
@@ -133,8 +132,6 @@ def test_spice_reads_its_kernels_back(result, tmp_path, reached):
 
 def test_a_kernel_covers_the_ends_of_passes_also_after_a_leap_second(sparse, tmp_path):
     """TDB and UTC differ by another second after 2016, and by milliseconds within months."""
-    from scipy.spatial.transform import Rotation
-
     sp = pytest.importorskip("spiceypy")
     attitude = build_attitude(sparse)
     later = attitude.t_s + np.where(attitude.pass_of > 0, 100 * 86_400.0, 0.0)
@@ -201,24 +198,17 @@ def sparse():
 
 @pytest.mark.parametrize("form", ["1.0", "2.0", "xml"])
 def test_exported_quaternions_never_change_sign_between_neighbours(form, sparse, tmp_path):
-    text = write_aem(tmp_path / "a.aem", build_attitude(sparse), form).read_text()
-    for q in np.split(quaternions(text, form), [6]):
-        assert len(q) == 6 and q[0, 3] >= 0 and np.einsum("ni,ni->n", q[1:], q[:-1]).min() > 0.9
-
-
-@pytest.mark.parametrize("form", ["1.0", "2.0", "xml"])
-def test_a_pass_that_is_not_decided_is_named_in_its_segment(form, sparse, tmp_path):
+    """And a pass that is not decided is named in its segment."""
     verdict = {"decided": [True, False], "why_not_decided": ["", "several solutions, ±"]}
     result = sparse.assign({name: ("pass_id", values) for name, values in verdict.items()})
-    result = result.assign_coords(pass_id=[3, 4])
-    attitude = build_attitude(result)
+    attitude = build_attitude(result.assign_coords(pass_id=[3, 4]))
     text = write_aem(tmp_path / "a.aem", attitude, form).read_text()
+    for q in np.split(quaternions(text, form), [6]):
+        assert len(q) == 6 and q[0, 3] >= 0 and np.einsum("ni,ni->n", q[1:], q[:-1]).min() > 0.9
     words = "pass 4 is not decided (several solutions, _): another motion may be the right one"
     assert text.count(words) == 1 and text.isascii()
-    assert text.index("2014-11-12T15:34:56.5") < text.index(
-        words
-    )  # after the attitudes of the first segment
-    assert text.index(words) < text.rindex("START_TIME")
+    # after the attitudes of the first segment
+    assert text.index("2014-11-12T15:34:56.5") < text.index(words) < text.rindex("START_TIME")
     rows = pd.read_parquet(write_parquet(tmp_path / "a.parquet", attitude))
     assert rows["decided"].tolist() == [True] * 6 + [False] * 6
 

@@ -66,8 +66,14 @@ def test_the_page_of_the_study_has_every_section_and_the_figures_of_its_summary(
     assert [i for i in page.ids("section") if i != "figures"] == parts
     summary = json.loads((study / "summary.json").read_text("utf-8"))
     assert "could not be" not in page.text and len(summary["headline"]) == 4
-    for sentence in summary["headline"] + summary["score"] + summary["conclusions"]:
+    first = page.part("summary")
+    assert "No conclusion." not in first
+    for sentence in summary["headline"] + summary["score"]:
+        assert " ".join(sentence.split()) in first
+    for sentence in summary["conclusions"]:
         assert " ".join(sentence.split()) in page.text
+    for key in ("chain", "noise", "calibration", "carries"):
+        assert " ".join(str(summary[key]).split())[:300] in page.part("provenance")
     for entry in summary["inputs"]:
         assert entry["sha256"] in page.text
     for text in (summary["command"], f"sunspin {summary['version']}", summary["cite"]):

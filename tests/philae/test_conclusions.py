@@ -141,9 +141,7 @@ def test_readings_without_sunlight_give_no_conclusion(found):
         assert any("lit pattern" in reason for reason in one.check.reasons)
 
 
-@pytest.mark.parametrize(
-    ("first", "second"), [("1", "5"), ("2", "3"), ("3", "6"), ("2", "4"), ("4", "5")]
-)
+@pytest.mark.parametrize(("first", "second"), [("1", "5"), ("2", "4"), ("3", "6")])
 def test_an_exchange_of_any_two_panels_is_detected(first, second):
     case = rb.with_telemetry(CASE, controls.exchange_panels(CASE, first, second))
     sun = ss.sun_directions(case.vehicle, case.telemetry)
