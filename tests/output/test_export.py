@@ -20,6 +20,7 @@ from sunspin.output.export.aem import write_aem
 from sunspin.output.export.against import against_kernels
 from sunspin.output.export.ck import ephemeris_time, write_ck
 from sunspin.vehicle import Vehicle
+from tests.output.test_export_interpolation import by_spice
 
 BODY = Vehicle("made up", inertia_kg_m2=np.diag([0.04, 0.05, 0.03]))
 
@@ -114,36 +115,24 @@ def test_a_motion_simulated_backward_is_exported_in_the_order_of_time(tmp_path, 
 @pytest.mark.evidence("export", "validated", "NAIF's SPICE reads the kernels back")
 def test_spice_reads_its_kernels_back(result, tmp_path, reached):
     sp = pytest.importorskip("spiceypy")
-    attitude = build_attitude(result)
-    kernels = [str(path) for path in write_ck(tmp_path, attitude)]
-    et = ephemeris_time(attitude.utc)
-    sp.furnsh(kernels)
-    try:
-        states = [sp.xf2rav(sp.sxform(LOCAL_FRAME, "SUNSPIN_BODY", t)) for t in et]
-        difference = np.abs(np.array([m for m, _ in states]) - body_from_n(result))
-        reached("largest difference of a matrix element", difference, "", 1e-9)
-        rates = np.array([m @ rate for m, rate in states])
-        assert difference.max() < 1e-9 and np.abs(rates - attitude.omega_B).max() < 1e-9
-        with pytest.raises(sp.exceptions.SpiceyError):  # the local frame has no place in the sky
-            sp.pxform("J2000", "SUNSPIN_BODY", et[0])
-    finally:
-        sp.unload(kernels)
+    attitude, epoch = build_attitude(result), result.attrs["epoch_utc"]
+    kernels = write_ck(tmp_path, attitude)
+    found, rates = by_spice(kernels, epoch, attitude.t_s)
+    difference = np.abs(found.as_matrix() - body_from_n(result))
+    reached("largest difference of a matrix element", difference, "", 1e-9)
+    assert difference.max() < 1e-9 and np.abs(rates - attitude.omega_B).max() < 1e-9
+    with pytest.raises(sp.exceptions.SpiceyError):  # the local frame has no place in the sky
+        by_spice(kernels, epoch, attitude.t_s[:1], "J2000")
 
 
 def test_a_kernel_covers_the_ends_of_passes_also_after_a_leap_second(sparse, tmp_path):
     """TDB and UTC differ by another second after 2016, and by milliseconds within months."""
-    sp = pytest.importorskip("spiceypy")
-    attitude = build_attitude(sparse)
+    attitude, epoch = build_attitude(sparse), "2016-12-01T00:00:00"
     later = attitude.t_s + np.where(attitude.pass_of > 0, 100 * 86_400.0, 0.0)
-    attitude = attitude._replace(t_s=later, epoch=np.datetime64("2016-12-01T00:00:00", "us"))
-    kernels = [str(path) for path in write_ck(tmp_path, attitude)]
-    sp.furnsh(kernels)
-    try:
-        for t, quaternion in zip(ephemeris_time(attitude.utc), attitude.quaternion, strict=True):
-            expected = Rotation.from_quat(quaternion).as_matrix()
-            assert np.abs(sp.pxform(attitude.frame, "SUNSPIN_BODY", t) - expected).max() < 1e-7
-    finally:
-        sp.unload(kernels)
+    attitude = attitude._replace(t_s=later, epoch=np.datetime64(epoch, "us"))
+    found, _ = by_spice(write_ck(tmp_path, attitude), epoch, later, attitude.frame)
+    off = found * Rotation.from_quat(attitude.quaternion).inv()
+    assert off.magnitude().max() < 1e-7
 
 
 @pytest.mark.evidence("compare", "verified", "kernels written here with rates changed by 2 %")
