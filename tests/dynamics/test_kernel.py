@@ -270,11 +270,9 @@ def test_motions_at_rest_without_momentum_and_without_time_are_followed():
     compare(vehicle, omega, np.array([5.0]), np.linspace(0, 60, 4))  # H = 0
     now = batch.run(vehicle, batch.Rows(omega[None], SUN[None], np.full((1, 1), 5.0)), 0.0)
     np.testing.assert_allclose(now.omega_B[0, 0], omega, atol=1e-15)
-
-
-def test_a_wheel_at_rest_has_no_past():
-    initial = batch.Rows(np.array([[0.1, 0.2, 0.3]]), SUN[None], np.zeros((1, 1)))
-    assert batch.run(philae_body(), initial, -60.0).outcome[0] == batch.Outcome.PAST_UNKNOWN
+    # a wheel at rest has no past
+    turning = batch.Rows(np.array([[0.1, 0.2, 0.3]]), SUN[None], np.zeros((1, 1)))
+    assert batch.run(philae_body(), turning, -60.0).outcome[0] == batch.Outcome.PAST_UNKNOWN
 
 
 class AllOfOmega(batch.Problem):

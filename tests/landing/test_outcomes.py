@@ -215,21 +215,16 @@ def test_candidates_can_have_their_own_sun_wheel_speed_and_weight(case):
         ss.outcomes(case.vehicle, short, scenario=scenario)
 
 
-def craft(kind: str) -> Vehicle:
-    inertia = np.diag([3.0, 4.0, 5.0])
+def craft(kind: str = "no wheel") -> Vehicle:
     axes = enumerate(([1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, 0, 1]))
     panels = [Panel(str(k), axis, 1.0) for k, axis in axes]
     legs = [Leg("a", [1.0, 0, -1]), Leg("b", [-1.0, 0, -1])]
+    whole = Vehicle("a", np.diag([3.0, 4.0, 5.0]), 20.0, panels, legs=legs)
     wheel = Wheel("x", [1, 0, 0], 0.01, 100.0, ss.Friction(1e-3, 1e-6), brake_torque_N_m=0.1)
-    wheels = [wheel, replace(wheel, name="z", axis_B=[0, 0, 1])]
-    return {
-        "no wheel": Vehicle("a", inertia, 20.0, panels, legs=legs),
-        "wheel on x": Vehicle("b", inertia, 20.0, panels, [wheel], legs),
-        "two wheels": Vehicle("c", inertia, 20.0, panels, wheels, legs),
-        "no legs": Vehicle("d", inertia, 20.0, panels),
-        "no mass": Vehicle("e", inertia, None, panels, legs=legs),
-        "no panels": Vehicle("f", inertia, 20.0, legs=legs),
-    }[kind]
+    other = replace(wheel, name="z", axis_B=[0, 0, 1])
+    changes = {"wheel on x": {"wheels": [wheel]}, "two wheels": {"wheels": [wheel, other]}}
+    changes |= {"no legs": {"legs": ()}, "no mass": {"mass_kg": None}, "no panels": {"panels": ()}}
+    return replace(whole, **changes.get(kind, {}))
 
 
 # two kernels each, 17 s
@@ -304,4 +299,4 @@ def test_bad_landing_scenarios_are_named(case, change, text):
 
 def test_a_vehicle_without_a_case_needs_a_scenario():
     with pytest.raises(ss.InputError, match="nothing is known of what happens to 'a'"):
-        ss.outcomes(craft("no wheel"), [[0.1, 0, 0]], n=4)
+        ss.outcomes(craft(), [[0.1, 0, 0]], n=4)

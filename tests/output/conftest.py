@@ -91,7 +91,7 @@ def no_conclusion(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return shared_folder(tmp_path_factory, "shuffled", make) / "results"
 
 
-SMALL_STUDY = {"coarser": 25, "calibrate": 30, "posterior": False}
+SMALL_STUDY = {"coarser": 25, "calibrate": 30, "posterior": False, "workers": 1}
 """Synthetic rebounds of the calibration: enough for a 90 % level."""
 
 

@@ -60,7 +60,7 @@ def test_entries_on_the_page_can_be_filtered(page, study):
 @pytest.mark.long
 @pytest.mark.parametrize(("width", "dark"), [(400, True), (400, False), (1300, True)])
 def test_the_page_is_legible_in_a_narrow_and_a_dark_window(browser, study, width, dark):
-    browser.open(study / "report.html", width, 844, dark)
+    browser.open(study / "report.html", width, 400, dark)
     browser.show(MOTION)
     assert browser.js("document.documentElement.scrollWidth <= innerWidth")
     paper = browser.js("getComputedStyle(document.body).backgroundColor")
@@ -83,10 +83,10 @@ def test_a_page_without_conclusions_shows_its_reason_first(browser, no_conclusio
 
 @pytest.mark.parametrize(
     "name",
-    ["simulate", *(pytest.param(name, marks=pytest.mark.long) for name in ("rates", "posterior"))],
+    ["simulate", pytest.param("posterior", marks=pytest.mark.long)],
 )
 def test_the_page_of_a_vehicle_with_a_hostile_name_animates_its_motion(browser, user_runs, name):
-    browser.open(user_runs[name] / "report.html", 640, 480)  # the processor paints each pixel
+    browser.open(user_runs[name] / "report.html", 640, 240)  # the processor paints each pixel
     browser.show(MOTION)
     assert browser.js("window.hacked === undefined") and browser.complaints() == []
     assert HOSTILE in text(browser, "main")

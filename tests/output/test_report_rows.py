@@ -5,16 +5,15 @@ from __future__ import annotations
 import json
 import re
 from collections import Counter
-from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 from sunspin.cases import load_case
-from sunspin.output.folder import MANIFEST, MARKER
 from sunspin.output.report import write_report
 from sunspin.output.report.rows import VERDICTS, interval_text, verdict_of
+from tests.output.test_compare import folder
 from tests.support.browser import HOSTILE, Page
 
 FILES_OF_CANDIDATES = tuple(
@@ -31,16 +30,9 @@ def row(**given: Any) -> dict[str, Any]:
     return dict.fromkeys(names) | plain | given
 
 
-def page_of(folder: Path, **summary: Any) -> Page:
+def page_of(path: Path, **summary: Any) -> Page:
     """The page of a study whose summary is this."""
-    folder.mkdir(exist_ok=True)
-    (folder / MARKER).write_text("reproduce\n", "utf-8")
-    text = json.dumps(summary).encode()
-    (folder / "summary.json").write_bytes(text)
-    manifest: dict[str, Any] = {"data": [], "figures": [], "tables": []}
-    manifest["sha256"] = {"summary.json": sha256(text).hexdigest()}
-    (folder / MANIFEST).write_text(json.dumps(manifest), "utf-8")
-    return Page(write_report(folder))
+    return Page(write_report(folder(path, "reproduce", **summary)))
 
 
 def shown_rows(page: Page) -> list[dict]:

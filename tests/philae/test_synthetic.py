@@ -208,22 +208,19 @@ def test_simulated_telemetry_of_any_vehicle_stores_its_truth_and_gives_it_back()
 
 
 @pytest.mark.parametrize(
-    ("change", "text"),
+    ("of", "truth", "options", "text"),
     [
-        ({"rate": 1}, "unknown rate"),
-        ({"noise": -1.0}, "zero or positive"),
-        ({"scale": 0.0}, "scale of a twin must be positive"),
+        (case, KNOWN | {"rate": 1}, {}, "unknown rate"),
+        (case, KNOWN | {"noise": -1.0}, {}, "zero or positive"),
+        (case, KNOWN | {"scale": 0.0}, {}, "scale of a twin must be positive"),
+        (case, {"omega_B": [0, 0, 0], "t_s": [0.0]}, {}, "no sun_B"),
+        ("philae", None, {"seed": -1}, "seed must be a whole number"),
+        (vehicle, None, {}, "needs a truth"),
     ],
 )
-def test_a_truth_without_valid_rates_and_sun_is_refused(change, text):
+def test_a_truth_without_valid_rates_and_sun_is_refused(of, truth, options, text):
     with pytest.raises(ss.InputError, match=text):
-        ss.twin(case, KNOWN | change)
-    with pytest.raises(ss.InputError, match="no sun_B"):
-        ss.twin(case, {"omega_B": [0, 0, 0], "t_s": [0.0]})
-    with pytest.raises(ss.InputError, match="seed must be a whole number"):
-        ss.twin("philae", seed=-1)
-    with pytest.raises(ss.InputError, match="needs a truth"):
-        ss.twin(vehicle)
+        ss.twin(of, truth, **options)
 
 
 def test_an_existing_file_is_refused_before_the_search(tmp_path, monkeypatch, capsys):
