@@ -104,9 +104,7 @@ HARD = [[-0.275, 0.82, 0.285], [-0.335, 1.0, -0.165], [-0.35, 0.82, 0.21]]
 """Rates with which the second wheel is held and let go up to 17 times, once for much less than a step."""
 
 
-@pytest.mark.parametrize(
-    "omega", [HARD[0], *(pytest.param(x, marks=pytest.mark.long) for x in HARD[1:])]
-)
+@pytest.mark.parametrize("omega", HARD)
 def test_a_wheel_that_is_held_and_let_go_again_and_again_does_so_as_heyoka_says(omega):
     """It may break away just at its limit, turn for a moment only, and stop within the same step, whatever error is allowed."""
     vehicle, speeds = philae_body(), [865.0, -605.5]

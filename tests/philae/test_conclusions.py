@@ -193,10 +193,3 @@ def test_candidates_are_read_from_a_table(tmp_path, quick):
 def test_without_a_calibration_there_is_no_conclusion(quick):
     one = run_chain(None, coarser=20, simulations=0)
     assert one.chain is None and "not calibrated for these data" in one.why
-
-
-def test_the_study_refuses_a_vehicle_without_a_wheel():
-    from sunspin.philae.study import require_wheel
-
-    with pytest.raises(InputError, match="one wheel and legs"):
-        require_wheel(replace(CASE.vehicle, wheels=()))
