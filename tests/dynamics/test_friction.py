@@ -29,14 +29,22 @@ def test_a_fit_to_the_published_spin_down_curve_returns_its_coefficients(t0, rea
     error = np.abs(np.array([fit.c1_rad_s, fit.c2_per_s, fit.c3_rad_s]) / PUBLISHED - 1)
     reached("relative error of the coefficients", error, "", 1e-7)
     np.testing.assert_allclose(fit(t), published_curve(t), rtol=1e-9)
+    # a wheel that turns backward has the same friction
+    assert fit_spin_down(t, -published_curve(t), J).friction == fit.friction
 
 
 def test_the_running_time_of_a_wheel_has_the_limits_of_the_friction_law():
+    """And the speed of a coasting wheel follows its fitted curve."""
     assert spin_down_time(Friction(0.0, 1e-6), J, 10.0) == np.inf
     by_dry_friction = pytest.approx(J * 865 / 1e-3, rel=1e-6)
     assert spin_down_time(Friction(1e-3, 0.0), J, 865.0) == by_dry_friction
     assert spin_down_time(Friction(1e-3, 1e-12), J, 865.0) == by_dry_friction
     assert spin_down_time(Friction(1e-3, 1e-6), J, 0.0) == 0.0
+    c1, c2, c3 = PUBLISHED
+    friction, t = Friction.from_spin_down(c1, c2, c3, J), np.linspace(0, 3000, 301)
+    speed = spin_down_speed(friction.coulomb_N_m, friction.viscous_N_m_s, J, c1 + c3, t)
+    np.testing.assert_allclose(speed, np.maximum(published_curve(t), 0.0), atol=1e-9)
+    assert speed[t > spin_down_time(friction, J, c1 + c3)].max() == 0.0
 
 
 @pytest.mark.evidence(
@@ -75,13 +83,6 @@ def test_the_error_of_the_spin_down_curve_does_not_depend_on_the_zero_of_time():
     np.testing.assert_allclose(variances[1], variances[0], rtol=1e-5)
 
 
-def test_a_wheel_that_turns_backward_has_the_same_friction():
-    t = np.arange(0.0, 1500.0, 50.0)
-    forward = fit_spin_down(t, published_curve(t), J)
-    backward = fit_spin_down(t, -published_curve(t), J)
-    assert backward.friction == forward.friction
-
-
 def test_a_fit_to_noisy_viscous_friction_has_no_negative_coulomb_torque():
     rng = np.random.default_rng(0)
     t = np.arange(0.0, 3000.0, 30.0)
@@ -104,12 +105,3 @@ def test_a_fit_to_noisy_viscous_friction_has_no_negative_coulomb_torque():
 def test_records_that_are_no_spin_down_are_refused(t, speed, text):
     with pytest.raises(ss.MotionError, match=text):
         fit_spin_down(t, speed, J)
-
-
-def test_the_speed_of_a_coasting_wheel_follows_its_fitted_curve():
-    c1, c2, c3 = PUBLISHED
-    friction = Friction.from_spin_down(c1, c2, c3, J)
-    t = np.linspace(0, 3000, 301)
-    speed = spin_down_speed(friction.coulomb_N_m, friction.viscous_N_m_s, J, c1 + c3, t)
-    np.testing.assert_allclose(speed, np.maximum(published_curve(t), 0.0), atol=1e-9)
-    assert speed[t > spin_down_time(friction, J, c1 + c3)].max() == 0.0

@@ -8,6 +8,7 @@ from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 
 import sunspin as ss
+from sunspin.environment.frames import BODY_AT_START
 from sunspin.vehicle import Friction, Vehicle
 from tests.support.vehicles import FIRST_SUN, philae_body, random_vehicle
 
@@ -78,11 +79,6 @@ def test_the_wheel_stops_after_the_published_42_minutes(reached):
     assert run["event_time_s"].values[0] == pytest.approx(2595, abs=1.0)
 
 
-def test_a_backward_run_from_a_stuck_wheel_is_refused_without_its_stop_time():
-    with pytest.raises(ss.MotionError, match="stopped_at_s"):
-        ss.propagate(philae_body(), [0.1, 0, 0.3], FIRST_SUN, 0.0, [0.0, -100.0])
-
-
 @pytest.mark.evidence(
     "propagate", "verified", "invariants |H|, |r| and H.r, none to three wheels with friction"
 )
@@ -93,6 +89,7 @@ def test_momentum_and_energy_are_conserved_to_1e_12(n_wheels, reached):
     speeds = rng.uniform(-30, 30, n_wheels) if n_wheels else None
     run = ss.propagate(vehicle, rng.normal(size=3), FIRST_SUN, speeds, np.linspace(0, 600, 601))
     H, r = run["momentum_B"].values, run["sun_B"].values
+    assert run.attrs["frame_N"] == BODY_AT_START
     size = np.linalg.norm(H[0])
     assert np.ptp(np.linalg.norm(H, axis=1)) < 1e-12 * size
     assert np.ptp(np.linalg.norm(r, axis=1)) < 1e-12
@@ -101,6 +98,12 @@ def test_momentum_and_energy_are_conserved_to_1e_12(n_wheels, reached):
     attitude = Rotation.from_quat(run["B_from_N"].values)
     np.testing.assert_allclose(attitude.apply(FIRST_SUN), r, atol=1e-11)
     np.testing.assert_allclose(attitude.apply(H[0]), H, atol=1e-11 * size)
+    steps = np.einsum("ni,ni->n", run["B_from_N"].values[1:], run["B_from_N"].values[:-1])
+    assert np.all(steps > 0)  # no attitude jumps to the other sign
+
+
+FAST = {"omega_B": [80.0, 50.0, -60.0], "wheel_speed_rad_s": 0.0}
+"""A rate with which friction cannot hold a wheel at rest."""
 
 
 @pytest.mark.parametrize(
@@ -115,63 +118,17 @@ def test_momentum_and_energy_are_conserved_to_1e_12(n_wheels, reached):
         ({"rtol": 0}, "rtol"),
         ({"stopped_at_s": np.nan}, "one finite time"),
         ({"stopped_at_s": np.array([-3.0, -4.0])}, "one finite time"),
+        ({"omega_B": [1e18, 1e18, 0]}, "is it in deg/s"),
+        ({"omega_B": [1e200, 1e200, 0]}, "is it in deg/s"),
+        ({"wheel_speed_rad_s": 0.0, "t_s": [0.0, -100.0]}, "stopped_at_s"),
+        (FAST | {"t_s": [400.0, 0.0], "stopped_at_s": 500.0}, "lies after t = 400 s"),
+        (FAST | {"t_s": [0.0, -600.0], "stopped_at_s": -500.0}, "cannot have been stuck before"),
     ],
 )
 def test_bad_arguments_of_propagate_are_named(change, message):
     given = {"omega_B": [0.1, 0, 0], "sun_B": FIRST_SUN, "wheel_speed_rad_s": 865.0, "t_s": [0, 1]}
     with pytest.raises(ss.MotionError, match=message):
         ss.propagate(philae_body(), **given | change)
-
-
-@pytest.mark.parametrize("rate", [1e18, 1e200])
-def test_rates_that_cannot_be_integrated_are_refused(rate):
-    with pytest.raises(ss.MotionError, match="is it in deg/s"):
-        ss.propagate(philae_body(), [rate, rate, 0], FIRST_SUN, 865.0, [1e6, 1e6 + 100.0])
-
-
-def test_a_long_run_cut_into_pieces_equals_an_uncut_one():
-    vehicle = random_vehicle(np.random.default_rng(4), 0)
-    t = np.linspace(0, 20_000, 41)
-    run = ss.propagate(vehicle, [1.5, 1.0, 0.5], FIRST_SUN, None, t)
-    direct = ss.propagate(vehicle, run["omega_B"].values[20], run["sun_B"].values[20], None, t[20:])
-    np.testing.assert_allclose(run["sun_B"].values[20:], direct["sun_B"].values, atol=1e-8)
-    assert run.sizes["event"] == 0
-
-
-def test_a_run_back_through_a_known_stop_returns_to_its_start():
-    vehicle, start = philae_body(), ([0.1, -0.05, 0.2], FIRST_SUN, 40.0)
-    there = ss.propagate(vehicle, *start, [0.0, 150.0, 400.0])
-    stop = float(there["event_time_s"].values[0])
-    assert list(there["event_what"].values) == ["stops"] and stop < 400.0
-    end = (there["omega_B"].values[-1], there["sun_B"].values[-1], 0.0)
-    back = ss.propagate(vehicle, *end, [400.0, 150.0, 0.0], stopped_at_s=stop)
-    assert list(back["event_what"].values) == ["stops"]
-    assert back["event_time_s"].values[0] == pytest.approx(stop, abs=1e-9)
-    np.testing.assert_allclose(back["omega_B"].values[::-1], there["omega_B"].values, atol=1e-9)
-    np.testing.assert_allclose(back["sun_B"].values[::-1], there["sun_B"].values, atol=1e-8)
-    np.testing.assert_allclose(back["wheel_speed_rad_s"].values[-1], [40.0], atol=1e-5)
-    with pytest.raises(ss.MotionError, match="lies after t = 400 s"):
-        ss.propagate(vehicle, *end, [400.0, 0.0], stopped_at_s=500.0)
-
-
-def test_a_wheel_held_then_braked_stops_as_two_runs_by_hand_say():
-    """A schedule with a brake, whose torque is added to the friction of the bearing."""
-    (wheel,) = philae_body().wheels
-    stiffer = replace(wheel.friction, coulomb_N_m=wheel.friction.coulomb_N_m + 0.02)
-    vehicle = replace(philae_body(), wheels=(replace(wheel, brake_torque_N_m=0.02),))
-    strong = replace(philae_body(), wheels=(replace(wheel, friction=stiffer),))
-    omega = [0.1, -0.05, 0.2]
-    schedule = [(0.0, "hold"), (60.0, "brake"), (500.0, "coast")]
-    whole = ss.propagate(vehicle, omega, FIRST_SUN, 865.0, [0.0, 60.0, 600.0], schedule)
-    held = ss.propagate(vehicle, omega, FIRST_SUN, 865.0, [0.0, 60.0], "hold")
-    state = held["omega_B"][-1], held["sun_B"][-1], 865.0
-    then = ss.propagate(strong, *state, [60.0, 600.0], "coast")
-    assert list(whole["event_what"].values) == ["stops"]
-    np.testing.assert_allclose(whole["event_time_s"], then["event_time_s"], atol=1e-9)
-    np.testing.assert_allclose(whole["sun_B"][-1], then["sun_B"][-1], atol=1e-10)
-    quaternions = ss.propagate(vehicle, omega, FIRST_SUN, 865.0, np.linspace(0, 60, 601))
-    steps = np.einsum("ni,ni->n", *(quaternions["B_from_N"].values[k:][:600] for k in (0, 1)))
-    assert np.all(steps > 0.99)  # no attitude jumps to the other sign
 
 
 def test_a_wheel_that_friction_cannot_hold_breaks_away_at_the_start_and_at_a_command():
@@ -186,9 +143,3 @@ def test_a_wheel_that_friction_cannot_hold_breaks_away_at_the_start_and_at_a_com
         assert run["event_time_s"].values[0] == begin
         turns = run["wheel_speed_rad_s"].values[:, 0] != 0.0
         np.testing.assert_array_equal(turns, run["time"].values > begin)
-
-
-def test_a_wheel_that_friction_cannot_have_held_is_refused_backward():
-    vehicle = random_vehicle(np.random.default_rng(1), 1, dry=1e-4)
-    with pytest.raises(ss.MotionError, match="cannot have been stuck before"):
-        ss.propagate(vehicle, [0.8, 0.5, -0.6], FIRST_SUN, 0.0, [0.0, -600.0], stopped_at_s=-500.0)

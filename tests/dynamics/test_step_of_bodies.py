@@ -1,4 +1,4 @@
-"""The compiled step of `rates`: several bodies in one call, against SciPy's integration of the same equations."""
+"""The compiled step of `rates`: several bodies in one call, and steps of a chosen size, against SciPy's integration."""
 
 import numpy as np
 import pytest
@@ -6,6 +6,7 @@ from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 
 from sunspin.dynamics.step import LOST, carry_bodies
+from sunspin.estimate.carry import STEP_RAD, angle_turned, step
 
 RUNS, MOTIONS, INTERVALS = 2, 3, 4
 
@@ -76,3 +77,25 @@ def test_a_motion_that_no_step_is_fine_enough_for_is_fast_and_finite(bodies):
     assert np.array_equal(turned[0, 1, 2], np.eye(3))
     assert np.isfinite(rate).all() and np.linalg.norm(rate[0, 1, 2]) > LOST / 2
     assert np.linalg.norm(rate[0, 1, 1]) < 1
+
+
+@pytest.mark.evidence(
+    "rates", "verified", "a step of a fit with wheels, SciPy on Euler's equations"
+)
+def test_compiled_steps_agree_with_eulers_equations(reached):
+    """Steps as long as a fit takes, whose error grows with the angle by which the body turns."""
+    inertia = np.array([[1.2, 0.05, -0.02], [0.05, 1.0, 0.04], [-0.02, 0.04, 0.8]])
+    rng = np.random.default_rng(5)
+    start = 0.4 * rng.normal(size=(6, 3))
+    momenta = start, start + 0.05 * rng.normal(size=(6, 3))
+    omega, dt_s = 0.1 * rng.normal(size=(6, 3)), rng.uniform(5.0, 20.0, 6)
+    end = step(inertia, omega[None], dt_s, momenta)
+    steps = np.ceil(angle_turned(inertia[None], omega[None], dt_s, momenta)[0] / STEP_RAD)
+    turns = np.maximum(steps * STEP_RAD / (2 * np.pi), 1.0)
+    for i in range(6):
+        attitude, rate = integrated(inertia, omega[i], dt_s[i], momenta[0][i], momenta[1][i])
+        turned = Rotation.from_matrix(end.turned[0, i])
+        away = (turned * Rotation.from_matrix(attitude).inv()).magnitude()
+        reached("error of the attitude in a turn", away / turns[i], "rad", 2e-4)
+        assert away < 2e-4 * turns[i]
+        assert np.abs(end.omega[0, i] - rate).max() < 2e-4 * turns[i]  # rad/s

@@ -1,12 +1,11 @@
-"""The unknown environment, frame names of results with an attitude, circular orbits."""
+"""The unknown environment and circular orbits."""
 
 import numpy as np
 import pytest
 
 import sunspin as ss
 from sunspin.environment import circular, unknown
-from sunspin.environment.frames import BODY_AT_START, SUN_Z_LOCAL
-from tests.support.vehicles import FIRST_SUN, philae_body
+from sunspin.environment.frames import SUN_Z_LOCAL
 
 
 def test_an_unknown_environment_gives_only_a_fixed_sun():
@@ -15,12 +14,6 @@ def test_an_unknown_environment_gives_only_a_fixed_sun():
     assert nothing.frame_N == SUN_Z_LOCAL and found.sun_N.shape == (3, 3)
     assert np.array_equal(found.sun_N, np.tile([0.0, 0.0, 1.0], (3, 1)))
     assert found.field_N is None and found.nadir_N is None and found.lit is None
-
-
-def test_results_with_an_attitude_name_its_reference_frame():
-    run = ss.propagate(philae_body(), [0.1, 0.0, 0.0], FIRST_SUN, 0.0, [0.0, 10.0])
-    assert run.attrs["frame_N"] == BODY_AT_START
-    assert np.array_equal(run["B_from_N"].values[0], [0.0, 0.0, 0.0, 1.0])
 
 
 def test_the_nadir_of_a_circular_orbit_rotates_evenly_about_the_orbit_normal():

@@ -6,11 +6,9 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from sunspin.estimate.carry import RATE, step
+from sunspin.estimate.carry import step
 from sunspin.estimate.chain import (
     LEAST_DEFECT_RAD,
-    bent_step,
-    defects,
     equations,
     fit,
     fit_single_shooting,
@@ -28,8 +26,7 @@ from sunspin.solve.rotations import rotate_attitude
 from sunspin.telemetry.assess import assess
 from tests.support.chains import ERRORS, INERTIA, T_S, problem
 from tests.support.orbit_cases import sparse_pass
-from tests.support.passes import estimate, slope_of, stated_model, tumbling_pass
-from tests.support.simulate import CUBE
+from tests.support.passes import estimate, slope_of, stated_model
 from validation.passes import compare_with_truth, make
 
 ROUNDING = 1e-4
@@ -116,6 +113,10 @@ def test_motions_of_several_bodies_are_those_of_each_alone():
             assert np.array_equal(one[k], other[0])
 
 
+WEAK = 5e-6
+"""rad/s^1.5; the weakest torques of `rates`, under which steps that are straight creep."""
+
+
 def test_a_sphere_turns_evenly_as_a_body_that_is_nearly_one_is_integrated():
     rng = np.random.default_rng(4)
     omega, dt = 0.2 * rng.normal(size=(3, 4, 3)), np.array([10.0, -3.0, 0.0, 40.0])
@@ -127,30 +128,6 @@ def test_a_sphere_turns_evenly_as_a_body_that_is_nearly_one_is_integrated():
     by_start = even.by_start - nearly.by_start
     assert np.allclose(by_start[..., :3, 3:], 0.0, atol=2e-2)
     assert np.allclose(by_start[..., 3:, :], 0.0, atol=1e-6)
-
-
-WEAK = 5e-6
-"""rad/s^1.5; the weakest torques of `rates`, under which steps that are straight creep."""
-
-
-def test_a_step_along_the_equations_leaves_them_by_what_linear_theory_says():
-    """A body without an inertia, which makes two thirds of a revolution from sample to sample."""
-    omega, vehicle = np.array([-0.06, 0.05, 0.1]), replace(CUBE, inertia_kg_m2=None, facts={})
-    data, _ = tumbling_pass(CUBE, 12, 33.0, seed=3, omega_B=omega, spread=0.02)
-    model = stated_model(vehicle, data, WEAK, 0.14)
-    motion = propagate(model, 6, facing(np.array([[0.6, 0.0, 0.8]])), omega[None])
-    motion = replace(motion, u=np.zeros((1, len(model.unknowns))))
-    rng = np.random.default_rng(5)
-    nodes = 0.05 * rng.normal(size=(1, len(model.obs), 6))
-    nodes[..., RATE] *= 0.01
-    u = 0.3 * rng.normal(size=motion.u.shape)
-    defect = defects(model, motion)
-    predicted = defect.value + np.einsum("knij,knj->kni", defect.by_first, nodes[:, :-1])
-    predicted += np.einsum("knij,knj->kni", defect.by_second, nodes[:, 1:])
-    predicted += np.einsum("knij,kj->kni", defect.by_u, u)
-    after = defects(model, bent_step(model, motion, nodes, u)).value
-    # in whitened units of weak torques, thousands of sigmas: to a millionth of them
-    np.testing.assert_allclose(after, predicted, atol=1e-6 * np.abs(predicted).max())
 
 
 def test_the_true_motion_of_a_body_without_an_inertia_costs_little_under_weak_torques():

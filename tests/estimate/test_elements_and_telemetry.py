@@ -12,9 +12,9 @@ from sunspin.environment.orbit import in_orbit
 from sunspin.estimate.orbit import check as orbit_check
 from sunspin.estimate.orbit.calibration import calibrate_magnetometer
 from sunspin.estimate.orbit.check import Comparison, Verdict, check_orbit
-from sunspin.estimate.orbit.invariants import FEWEST, MATRIX, median_residuals
+from sunspin.estimate.orbit.invariants import MATRIX, median_residuals
 from sunspin.estimate.orbit.judged import judged_orbit, orbit_of
-from sunspin.estimate.orbit.readings import EARTH_RAD, orbit_readings
+from sunspin.estimate.orbit.readings import orbit_readings
 from sunspin.estimate.settings import ORBIT
 from sunspin.telemetry.assess import assess
 from sunspin.vehicle.parts import StatedOrbit
@@ -190,23 +190,10 @@ def error_deg(orbit, assessment, truth):
     return np.degrees(np.median(np.arccos(np.clip(cosine, -1, 1))))
 
 
-@pytest.mark.parametrize("number", [2, 4])
-def test_albedo_does_not_rotate_the_calibration(folder, number):
+def test_albedo_does_not_rotate_the_calibration(folder):
     """By 60 deg where panels that the Earth lights count as sunlit."""
-    assessment, right, _, truth = spinner(folder, number=number)
+    assessment, right, _, truth = spinner(folder)
     assert error_deg(right, assessment, truth) < 5.0
-
-
-def test_samples_that_show_field_and_sun_come_first(folder):
-    assessment, *_ = spinner(folder, number=3)
-    both = orbit_readings(assessment, 10_000).has_angle.sum()
-    readings = orbit_readings(assessment, ORBIT.samples)
-    assert len(readings.t_s) == ORBIT.samples and FEWEST < both < ORBIT.samples / 2
-    assert readings.has_angle.sum() == both
-    # of three panels none has an opposite one, and the Earth may light all alike
-    alone = np.isfinite(readings.panel_sun).all(axis=1)
-    assert readings.panel_sigma[alone].min() > EARTH_RAD > readings.panel_sigma[~alone].min()
-    assert (readings.light == 0).sum() > 30 and (np.diff(readings.t_s) > 0).all()
 
 
 def test_right_elements_rank_first_despite_a_large_zero(folder):

@@ -6,24 +6,17 @@ import numpy as np
 import pytest
 
 import sunspin as ss
-from sunspin.estimate.lander.allowed import cube_nodes, possible_directions, shortfall
 from sunspin.estimate.lander.carrier import Shooting
-from sunspin.estimate.lander.families import one_each_box, one_each_ridge, with_neighbours
 from sunspin.estimate.lander.fit import FINAL_ERROR, FitProblem
 from sunspin.estimate.lander.grid import Reference, choose_reference, grid_starts, settled_starts
 from sunspin.estimate.lander.motions import LanderMotions
-from sunspin.estimate.lander.rate_grid import RateGrid, Reached, attitudes
+from sunspin.estimate.lander.rate_grid import RateGrid, Reached
 from sunspin.estimate.lander.window import observe_window
 from sunspin.estimate.posterior import search_nominal
 from sunspin.estimate.settings import POSTERIOR
-from sunspin.solve.rotations import move_on_sphere
 from sunspin.telemetry.assess import assess
 from tests.estimate.plain_cells import (
     LookThrough,
-    corner_weights,
-    corners_of,
-    nearest_node,
-    rotated,
 )
 from tests.support.landers import NOISE, OMEGA, PHILAE, SUN, lander_model, lander_telemetry, noisy
 from tests.support.passes import slope_of
@@ -48,56 +41,12 @@ def placed(model, **changes):
 # ---- the grid --------------------------------------------------------------------------------------------------------------
 
 
-def test_the_nearest_node_is_within_its_stated_distance():
-    nodes = cube_nodes(GRID.nodes)
-    sun = units(np.random.default_rng(0).standard_normal((2000, 3)))
-    off = np.arccos(np.clip(np.sum(nodes[nearest_node(sun, GRID.nodes)] * sun, axis=1), -1, 1))
-    assert off.max() < GRID.node_rad
-    by_search = np.argmax(sun @ nodes.T, axis=1)
-    assert np.mean(nearest_node(sun, GRID.nodes) == by_search) > 0.9
-
-
-def rate_grid(model, reference, settings=GRID):
-    """Return the grid of rates of a model with its reference where the search begins."""
-    reached = Reached.of(model, reference.limit, reference.fastest)
-    return RateGrid.of(model, model.obs.t_s[reference.others], reached, reference.edge, settings)
-
-
 @pytest.fixture(scope="module")
 def small_search():
     """Return a model with its reference where the search begins, that reference, and a grid of rates up to 0.12 rad/s."""
     model, reference = placed(lander_model(max_rate_rad_s=0.12), limit=0.12)
-    return model, reference, rate_grid(model, reference)
-
-
-def test_interpolated_attitudes_are_those_of_the_motion():
-    """To 0.05 rad in the middle of cells, with the signs of neighbouring quaternions alike; at their corners if all are run."""
-    model, reference = placed(lander_model(max_rate_rad_s=0.03), limit=0.03)
-    grid = rate_grid(model, reference, replace(GRID, between_rad=0.0))
-    cells = grid.cells[:: max(1, len(grid.cells) // 40)]
-    turn = corners_of(grid, cells)
-    middle = np.einsum("c,ncmq->nmq", corner_weights(np.full(3, 0.5)), turn)
-    omega = grid.rates(cells) + 0.5 * grid.edge
-    u = np.zeros((len(omega), len(model.unknowns)))
-    carried = model.sun_states(LanderMotions(omega, np.tile(SUN, (len(omega), 1)), u), 1e-6).sun_B
-    off = rotated(middle, SUN) - carried[:, reference.others]
-    assert np.linalg.norm(off, axis=-1).max() < 0.12
-    assert np.sqrt(np.mean(np.sum(off**2, axis=-1))) < 0.05
-    corner = LanderMotions(grid.rates(cells), np.tile(SUN, (len(omega), 1)), u)
-    exact = model.sun_states(corner, 1e-6).sun_B[:, reference.others]
-    np.testing.assert_allclose(rotated(turn[:, 0], SUN), exact, atol=2e-3)
-
-
-def test_attitudes_between_runs_are_those_of_runs(small_search):
-    """To 0.1 rad for 97 of 100 rates, with one run for eight points or fewer; with the same settings as a search."""
-    model, reference, grid = small_search
-    times = model.obs.t_s[reference.others]
-    picked = np.random.default_rng(6).choice(np.flatnonzero(grid.row_of >= 0), 500)
-    exact = attitudes(model, grid.rates(picked), times)
-    cosine = np.abs(np.sum(exact * grid.quaternions[grid.row_of[picked]], axis=-1))
-    off = 2 * np.arccos(np.minimum(cosine, 1.0))
-    assert np.quantile(off, 0.97) < 0.1
-    assert np.quantile(off, 0.9) < GRID.between_rad
+    reached, times = Reached.of(model, 0.12, reference.fastest), model.obs.t_s[reference.others]
+    return model, reference, RateGrid.of(model, times, reached, reference.edge, GRID)
 
 
 def test_every_motion_of_the_prior_reaches_a_rate_that_is_searched():
@@ -116,19 +65,6 @@ def test_every_motion_of_the_prior_reaches_a_rate_that_is_searched():
     assert np.sqrt(reached.energy(there).max()) > 0.97 * reached.most
     ball = 0.9 * rng.random((300, 1)) ** (1 / 3) * direction
     assert 0.3 < reached.within(ball, 0.0).mean() < 0.5
-
-
-def test_readings_contradict_no_direction_near_the_true_one_and_some_far_away():
-    model = lander_model()
-    sun = model.sun_states(LanderMotions(OMEGA[None], SUN[None], np.zeros((1, 8))), 1e-8).sun_B
-    rng = np.random.default_rng(2)
-    near = move_on_sphere(np.tile(sun[0], (50, 1)), 0.2 * rng.standard_normal((400, 2)).clip(-1, 1))
-    assert shortfall(model.panels, near.reshape(50, 8, 3), 0.35, GRID).max() == 0
-    assert shortfall(model.panels, -sun, 0.35, GRID).max() > GRID.limit
-    allowed = possible_directions(model.panels, 0, GRID)
-    assert (allowed @ SUN).max() > np.cos(GRID.directions_rad)
-    apart = allowed @ allowed.T - 2 * np.eye(len(allowed))
-    assert apart.max() < np.cos(0.9 * GRID.directions_rad)
 
 
 @pytest.mark.parametrize("throttled", [False, True])
@@ -193,45 +129,6 @@ def test_derivatives_of_the_differences_are_those_of_runs():
         assert np.mean(off > 0.01 * np.abs(change).max() + 1e-6) < 0.02, coordinate
 
 
-# ---- families --------------------------------------------------------------------------------------------------------------
-
-
-def family(count: int, spacing_rad_s: float, loose: float) -> LanderMotions:
-    """Return motions in a row of rates about x, which curvature leaves free by `loose` rad/s, with one unknown."""
-    omega = np.zeros((count, 3))
-    omega[:, 0] = spacing_rad_s * np.arange(count)
-    normal = np.diag([loose**-2, 1e8, 1e8, 1e6, 1e6, 1.0])
-    return LanderMotions(
-        omega,
-        np.tile(SUN, (count, 1)),
-        np.zeros((count, 1)),
-        cost=np.arange(count) * 0.1,
-        curvature=np.tile(normal, (count, 1, 1)),
-        starts=np.ones(count, dtype=int),
-        neighbours_s=np.zeros(count),
-    )
-
-
-def test_a_family_gets_neighbours_along_its_loose_direction_alone():
-    """At 0.65 rad at the end of the next window; a motion that is known well gets none."""
-    reach, expected = 100.0, np.array([[SHOOTING.neighbour_rad, 0.0, 0.0]] * 2)
-    added = with_neighbours(family(1, 1.0, 0.02), reach, 0.6, SHOOTING).omega[1:] * reach
-    np.testing.assert_allclose(np.abs(added), expected, rtol=1e-6, atol=1e-6)
-    assert len(with_neighbours(family(1, 1.0, 0.002), reach, 0.6, SHOOTING)) == 1
-    # set once, they are not set again before the window has grown
-    again = replace(family(1, 1.0, 0.02), neighbours_s=np.full(1, 95.0))
-    assert len(with_neighbours(again, reach, 0.6, SHOOTING)) == 1
-
-
-def test_motions_of_one_ridge_or_box_are_joined_with_all_their_starts():
-    close, apart = family(5, 0.01, 0.02), family(5, 0.1, 0.02)
-    joined = one_each_ridge(close, SHOOTING)
-    assert len(joined) < 5 and joined.starts.sum() == 5
-    assert len(one_each_ridge(apart, SHOOTING)) == 5
-    boxed = one_each_box(family(5, 1e-5, 0.02), 100.0, SHOOTING)
-    assert boxed.starts.tolist() == [5] and boxed.cost.tolist() == [0.0]
-
-
 # ---- the search ------------------------------------------------------------------------------------------------------------
 
 
@@ -255,36 +152,25 @@ def shooting(**changes) -> tuple[Shooting, Reference]:
     return Shooting(model, reference, POSTERIOR, 1), reference
 
 
-def smaller_rate(said: str) -> float:
-    return float(said.split("max_rate_rad_s=")[1].split()[0])
-
-
 def test_more_motions_than_can_be_followed_are_thinned_evenly_and_said():
     carrier, _ = shooting()
-    kept = carrier._at_most(family(100, 1.0, 0.02), 10, "(5 samples)")
+    none = np.zeros((100, 1))
+    motions = LanderMotions(none + OMEGA, none + SUN, none, cost=0.1 * np.arange(100))
+    kept = carrier._at_most(motions, 10, "(5 samples)")
     assert len(kept) == 10 and kept.cost[[0, -1]] == pytest.approx([0.0, 9.9])
     assert not carrier.complete and "more trial solutions" in carrier.notes[-1]
 
 
 def test_the_largest_rate_that_a_warning_advises_leaves_as_many_motions_as_are_followed(caplog):
-    """They are as many as the ball of rates holds, which grows with its cube; the rate is printed with two digits."""
-    carrier, reference = shooting()
-    carrier._announce(6000, 2000, 5)
-    (said,) = [record.getMessage() for record in caplog.records]
-    assert "6000 motions may fit 5 samples; 2000 of them are followed" in said
-    assert 6000 * (smaller_rate(said) / reference.prior_max_rate) ** 3 == pytest.approx(
-        2000, rel=0.1
-    )
-
-
-def test_a_long_search_for_starts_is_announced_with_a_rate_that_shortens_it_to_a_minute(caplog):
-    """Cells are as many as the ball of rates holds, which grows with its cube."""
+    """Or shortens a search of starts to a minute. Both grow with the cube of the ball of rates; two digits are printed."""
     usual, reference = shooting()
     usual.announce_starts()
     assert not caplog.records
+    usual._announce(6000, 2000, 5)
     shooting(edge=reference.limit / 150)[0].announce_starts()
-    (said,) = [record.getMessage() for record in caplog.records]
-    minutes = float(said.split("about ")[1].split()[0])
-    assert minutes * (smaller_rate(said) / reference.prior_max_rate) ** 3 == pytest.approx(
-        1.0, rel=0.1
-    )
+    many, long = (record.getMessage() for record in caplog.records)
+    assert "6000 motions may fit 5 samples; 2000 of them are followed" in many
+    minutes = float(long.split("about ")[1].split()[0])
+    for said, size, left in ((many, 6000, 2000), (long, minutes, 1.0)):
+        share = float(said.split("max_rate_rad_s=")[1].split()[0]) / reference.prior_max_rate
+        assert size * share**3 == pytest.approx(left, rel=0.1)

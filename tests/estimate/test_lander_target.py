@@ -26,7 +26,6 @@ from tests.support.landers import (
     noisy,
     nominal,
 )
-from tests.support.passes import slope_of
 
 
 def near(model, count: int = 3, size: float = 1e-3) -> LanderMotions:
@@ -35,32 +34,6 @@ def near(model, count: int = 3, size: float = 1e-3) -> LanderMotions:
     step = size * rng.normal(size=(count, 5 + len(model.unknowns)))
     step[:, :3] /= 700.0
     return nominal(model, count).moved(step)
-
-
-def test_derivatives_of_a_motion_near_by_are_corrected_by_the_step():
-    """They are turned into the new tangents, and give the track after the step; another body corrects nothing."""
-    model = lander_model()
-    target, motions = LanderTarget(model), near(model)
-    first = target.linearised(motions).extras
-    step = np.zeros((len(motions), 5 + len(model.unknowns)))
-    step[:, 3:5] = 0.02
-    there = motions.moved(step)
-    then = target.linearised(there, first).extras
-    back = np.einsum("kc,kcnw->knw", motions.from_centre(there)[:, :5], then.track_slopes)
-    assert then.track + back == pytest.approx(first.track, abs=3e-5)
-    other = LanderMotions(motions.omega, motions.sun, motions.u + 0.5)
-    assert target.linearised(other, first).extras.track_slopes == pytest.approx(first.track_slopes)
-
-
-def test_slopes_in_brightness_and_tilts_are_those_of_the_equations_without_the_prior():
-    model = lander_model(tilt=0.02)
-    target, motions = LanderTarget(model), near(model)
-    of = target.linearised(motions)
-    slope, curvature = target.reading_slopes(of.extras.track, motions.u)
-    prior = motions.u[:, target.reading_unknowns]
-    assert -slope + prior == pytest.approx(of.slope[:, 5:], rel=1e-3, abs=1e-2)
-    own = of.matrix[:, 5:, 5:] - np.eye(len(target.reading_unknowns))
-    assert curvature == pytest.approx(own, rel=1e-3, abs=1e-2 * np.abs(own).max())
 
 
 def test_likelihood_is_that_of_the_model():
@@ -200,39 +173,6 @@ def test_noise_is_not_taken_for_less_because_times_fit_it():
     of_all = model.panels.best_noise(value, own, np.zeros(1), -5.0)
     assert abs(fitted) < 2.5
     assert fitted > of_all[0, model.panels.indices("noise")[0]] + 0.3
-
-
-def test_slopes_are_those_of_the_cost_with_times_at_their_best():
-    model = late_model()
-    motions, target = off(model), LanderTarget(model)
-    problem, base = target._problem, target.linearised(motions)
-
-    def cost(change):
-        """Return the cost of a motion of another rate, whose times are at their best."""
-        motion = replace(motions, omega=motions.omega + change)
-        track = problem.track(motion, 1e-10)
-        still = np.zeros((len(motion), 5, *track.shape[1:]))
-        linear = problem.linear_readings(motion, track, still)
-        return problem.equations(motion.u, linear, 1.0).cost[0]
-
-    for axis, change in enumerate(1e-6 * np.eye(3)):
-        assert base.slope[0, axis] == pytest.approx(slope_of(cost, change, 1e-6), rel=0.02, abs=3.0)
-
-
-def test_curvature_is_less_by_what_the_times_take_up():
-    """That of the fit is the change of the slope about a motion that fits exactly; with exact times it is far larger."""
-    model = late_model(noise=0.0)
-    target, motions = LanderTarget(model), nominal(model)
-    matrix = target.linearised(motions).matrix[0, :3, :3]
-
-    def slopes(change):
-        return target.linearised(replace(motions, omega=motions.omega + change)).slope[0, :3]
-
-    for axis, change in enumerate(2e-5 * np.eye(3)):
-        expected, scale = slope_of(slopes, change, 2e-5), np.abs(matrix).max()
-        assert matrix[axis] == pytest.approx(expected, rel=0.05, abs=0.03 * scale)
-    exact = LanderTarget(late_model(0.0, noise=0.0)).linearised(motions).matrix[0, :3, :3]
-    assert np.linalg.eigvalsh(exact).max() > 1.2 * np.linalg.eigvalsh(matrix).max()
 
 
 def test_throttled_panels_with_errors_of_times_are_refused():

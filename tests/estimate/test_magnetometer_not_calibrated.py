@@ -113,16 +113,6 @@ def test_a_motion_that_is_lost_by_believing_an_uncalibrated_magnetometer_is_sear
     assert row["listed"] and not row["wrong"] and np.abs(row["pulls"]).max() < 4
 
 
-def test_a_search_counts_the_middle_size_of_a_zero_and_a_fit_the_largest(uncalibrated):
-    vehicle, telemetry, _ = uncalibrated
-    (other,) = another_zero(nominal_model(vehicle, telemetry), RATES.alternatives)
-    (field,) = (term for term in other.obs.terms if isinstance(term, FieldChange))
-    (of_search,) = field.for_search()
-    (stated,) = replace(field, zero_B=0.3 * field.zero_B, zero_shares=(1.0,)).for_search()
-    assert of_search.sigma == pytest.approx(stated.sigma) and not of_search.unknowns()
-    assert of_search.sigma > 3 * field.sigma
-
-
 @pytest.mark.long
 def test_a_fit_ends_at_the_minimum_of_the_truth_under_the_earths_light():
     """The first guess of the light leads to a second minimum, which costs 11 more."""

@@ -161,10 +161,13 @@ def random_case(number: int) -> tuple[Vehicle, xr.Dataset, dict[str, float]]:
 
 
 @pytest.mark.parametrize(
-    "number", [0, *(pytest.param(number, marks=pytest.mark.long) for number in range(1, 8))]
+    "number", [0, *(pytest.param(number, marks=pytest.mark.long) for number in (1, 2, 5))]
 )
 def test_any_inertia_and_rate_gives_a_posterior_or_advice_that_works(number):
-    """No other exception and no warning; what a refusal asks for is done, and then there is a result of bodies that can exist."""
+    """No other exception and no warning; what a refusal asks for is done, and then there is a result of bodies that can exist.
+
+    Cases 2 and 5 have a wheel; axes of the body are those of its inertia in 0 and 2.
+    """
     vehicle, telemetry, priors = random_case(number)
     settings = replace(FEW, motions=1e5)
     with warnings.catch_warnings():

@@ -1,4 +1,4 @@
-"""Rates from sparse Sun directions or powers, simulated with a known truth: coverage, aliases, messages. All data are synthetic."""
+"""Rates from sparse Sun directions or powers, simulated with a known truth: coverage, aliases, times. All data are synthetic."""
 
 from dataclasses import replace
 
@@ -7,15 +7,19 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import sunspin as ss
-from sunspin.estimate.model import SUN_N
+from sunspin.estimate.model import SUN_N, Body, Model, Noise, Observations, Track
+from sunspin.estimate.observe import rounded_to_s
+from sunspin.estimate.one_pass import with_time_errors
+from sunspin.estimate.terms.directions import SunDirections
 from sunspin.output.kinds.rates import rates_tables
 from sunspin.solve.rotations import components_after_rotation
 from sunspin.vehicle import Fact, TelemetryForm
 from sunspin.vehicle.sensors import Gyro, Sensors
-from tests.support.passes import tumbling_pass
+from tests.support.passes import errors_in_sigmas, tumbling_pass
 from tests.support.simulate import CUBE_WITHOUT_NOISE_STATED as CUBE
 from tests.support.simulate import pulls, simulated_pass, telemetry_of, uneven_times
 from tests.support.vehicles import units
+from validation.passes import FACES, observe, spin
 
 
 def test_parameters_estimated_with_the_motion_cover_the_truth():
@@ -155,3 +159,65 @@ def test_stated_reading_offsets_give_right_rates_that_would_be_wrong_without():
         misses.append(np.degrees(np.abs(miss).max()))
         pulls.append(np.abs(miss / result["omega_sigma_B"].values[0, 0]).max())
     assert pulls[1] < 2 and 3 * misses[1] < misses[0], (pulls, misses)
+
+
+# ---- times in whole seconds: recognised, and counted among the errors of readings -------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("t_s", "unit_s"),
+    [
+        (np.round(10.3 * np.arange(20)), 1.0),  # a device with an interval of its own
+        (1.7e9 + np.round(10.3 * np.arange(20)), 1.0),
+        (np.round(10.03 * np.arange(40), 1), 0.1),
+        (10.3 * np.arange(20), 0.0),
+        (10.0 * np.arange(20), 0.0),
+        (np.delete(10.0 * np.arange(20), [3, 4, 9]), 0.0),  # rows are missing
+        (np.add.outer(60.0 * np.arange(4), np.arange(5)).ravel(), 0.0),  # bursts, a second apart
+        (np.array([0.0, 30.0, 50.0, 75.0]), 0.0),  # whole multiples of 5 s
+        (np.array([7.0]), 0.0),
+    ],
+)
+def test_times_are_rounded_if_a_unit_divides_them_and_no_multiple_of_it_does(t_s, unit_s):
+    assert rounded_to_s(t_s) == unit_s
+    assert rounded_to_s(np.append(t_s, t_s[-1])) == unit_s  # a row that came twice
+
+
+def made_pass(seed, interval_s, rounded):
+    """Return a box at 14 deg/s, sampled at an even interval with times in whole seconds or as they are."""
+    rng = np.random.default_rng(seed)
+    t_s = interval_s * np.arange(45)
+    start = rng.normal(size=3)
+    start *= np.radians(14.0) / np.linalg.norm(start)
+    made = observe(FACES, *spin(start, t_s), t_s, 0.01, rng)
+    times = np.round(t_s) if rounded else t_s
+    return made._replace(telemetry=made.telemetry.assign_coords(time=times))
+
+
+def test_rates_of_times_in_whole_seconds_are_decided_and_within_their_errors():
+    """A body turns by 4 deg in the error of a time. Without it five of eight such passes are POOR FIT, one is decided and off.
+
+    The sigmas of the same pass with exact times are much smaller.
+    """
+    made, exact = (made_pass(2, 5.3, rounded) for rounded in (True, False))
+    result, of_exact = (ss.rates(one.vehicle, one.telemetry) for one in (made, exact))
+    assert result["decided"].values[0] and "count as rounded" in result.attrs["verdict"]
+    assert np.abs(errors_in_sigmas(result, made.omega)).max() < 4.5
+    assert of_exact["sigma_x"].values[0, 0] < result["sigma_x"].values[0, 0] / 1.5
+    assert "rounded" not in of_exact.attrs["verdict"]
+
+
+def test_errors_of_times_turn_directions_across_the_motion_and_cost_the_density_that_they_spread():
+    """A body turns at 0.1 rad/s about an axis 30 degrees from the Sun: a time off by 0.5 s moves the Sun by 0.025 rad."""
+    axis = np.array([0.0, np.sin(np.pi / 6), np.cos(np.pi / 6)])
+    covariance = np.broadcast_to(0.01**2 * np.eye(3), (6, 3, 3))
+    sun = SunDirections.of(np.broadcast_to(SUN_N, (6, 3)), covariance)
+    obs = Observations(np.arange(6.0), np.zeros((6, 3)), (sun,), 0.5)
+    model = Model(obs, Body(np.eye(3), np.zeros((0, 3, 3))), Noise(1e-4), 0.1)
+    attitude = np.broadcast_to(np.eye(3), (1, 6, 3, 3))
+    motion = Track.free(attitude, np.broadcast_to(0.1 * axis, (1, 6, 3)))
+    wider = with_time_errors(model, [motion], 0.02)
+    assert np.allclose(wider.obs.terms[0].covariance[:, 0, 0], 0.01**2 + 0.025**2)
+    # the density at the centre of two normal numbers falls by the ratio of their variances
+    assert np.isclose(wider.log_prior, -6 * np.log(1 + 2.5**2))
+    assert with_time_errors(model, [motion], 0.03) is model

@@ -12,20 +12,20 @@ from scipy.special import logsumexp
 from sunspin.estimate.budget import Budget
 from sunspin.estimate.lander.mixture import Mixture, join_models
 from sunspin.estimate.lander.motions import Draws, LanderMotions, ModelFit
-from sunspin.estimate.lander.outer_law import QuadraticTransform, StudentMixture
-from sunspin.estimate.lander.ridges import Chart, ridges_of
+from sunspin.estimate.lander.ridges import ridges_of
 from sunspin.estimate.lander.sample import predictive_check, resampled, sample
 from sunspin.estimate.lander.target import MotionSlopes
 from sunspin.estimate.model import Unknown
 from sunspin.estimate.settings import SAMPLING
 from sunspin.solve.linear import DenseSystem
 from sunspin.solve.rotations import tangent_basis
-from tests.support.passes import slope_of
 
 RATE, TURN = np.array([2e-4, 1e-4, 3e-4]), 0.02
 """Sigmas of the rates (rad/s) about a ridge, and of the direction (rad)."""
 
 REACH_S = 100.0
+STRAIGHT, CURVED = 5e-3, 3e-3
+"""How the rate x follows an unknown along a ridge (rad/s)."""
 
 BRIGHT, READ = 0.3, 0.2
 """Where the readings put the brightness, and how well, in sigmas of its prior."""
@@ -35,15 +35,13 @@ BRIGHT, READ = 0.3, 0.2
 class Bananas:
     """A posterior with a bent ridge about each motion of `omega` (M, 3) and `sun` (M, 3), which hold parts `weight` (M) of it.
 
-    The rate x follows the unknown `bend` as `straight` u + `curved` u^2 (rad/s). So the integral over the rates does not depend on
+    The rate x follows the unknown `bend` as `STRAIGHT` u + `CURVED` u^2 (rad/s). So the integral over the rates does not depend on
     it. `lowest`: the least `bend` that is possible. The other unknown is a brightness.
     """
 
     omega: np.ndarray
     sun: np.ndarray
     weight: np.ndarray
-    straight: float = 5e-3
-    curved: float = 3e-3
     lowest: float = -np.inf
     max_rate: float = 1.0
     reach_s: float = REACH_S
@@ -58,7 +56,7 @@ class Bananas:
         """Differences (K, M, 5) from the ridges, in sigmas."""
         u = motions.u[:, 0]
         ridge = np.zeros((len(u), 1, 3))
-        ridge[:, 0, 0] = self.straight * u + self.curved * u**2
+        ridge[:, 0, 0] = STRAIGHT * u + CURVED * u**2
         rate = (motions.omega[:, None] - self.omega - ridge) / RATE
         across = np.stack(tangent_basis(self.sun), axis=1)
         side = np.einsum("mai,ki->kma", across, motions.sun) / TURN
@@ -130,18 +128,18 @@ class Bananas:
         rates = (2 * np.pi) ** 1.5 * np.prod(RATE)
         return float(np.log(rates * 2 * np.pi * solid * bright))
 
-    def fit(self, which: list[int], bend: float = 0.0, sharper: float = 1.0) -> ModelFit:
-        """The motions at a value of `bend` on the ridges, with their curvature, or one that is sharper in `bend`."""
+    def fit(self, which: list[int], bend: float = 0.0) -> ModelFit:
+        """The motions at a value of `bend` on the ridges, with their curvature."""
         omega = np.array(self.omega[which])
-        omega[:, 0] += self.straight * bend + self.curved * bend**2
+        omega[:, 0] += STRAIGHT * bend + CURVED * bend**2
         u = np.tile([bend, BRIGHT / (1 + READ**2)], (len(which), 1))
         motions = LanderMotions(omega, self.sun[which], u)
         matrix = self.linearised(motions).matrix
         whole = np.zeros((len(which), 7, 7))
         rest = [0, 1, 2, 3, 4, 6]
         whole[np.ix_(range(len(which)), rest, rest)] = matrix
-        slope = (self.straight + 2 * self.curved * bend) / RATE[0]
-        whole[:, 5, 5] = (1 + slope**2) + (sharper - 1)
+        slope = (STRAIGHT + 2 * CURVED * bend) / RATE[0]
+        whole[:, 5, 5] = 1 + slope**2
         whole[:, 0, 5] = whole[:, 5, 0] = -slope / RATE[0]
         cost = -np.log(self.weight[which])
         starts = np.ones(len(which))
@@ -172,10 +170,9 @@ class Tied(Bananas):
         tied, _ = quad(lambda a: np.exp(-(a**2 + (a / 2 + a**2 / 10) ** 2) / 2), -8, 8)
         return super().log_integral + float(np.log(TIED * tied / np.sqrt(2 * np.pi)))
 
-    def fit(self, which: list[int], bend: float = 0.0, sharper: float = 1.0) -> ModelFit:
-        """The motion with friction on the curve."""
-        assert bend == 0.0
-        fit = super().fit(which, bend, sharper)
+    def fit(self, which: list[int], bend: float = 0.0) -> ModelFit:
+        """The motion with friction on the curve, at a `bend` of zero."""
+        fit = super().fit(which)
         whole = np.zeros((len(which), 8, 8))
         whole[:, :7, :7] = fit.motions.curvature
         whole[:, 7, 7] = 1.0
@@ -242,59 +239,6 @@ def test_unknowns_that_readings_tie_along_a_curve_are_drawn_along_it():
     assert draws.effective > max(1000, 1.5 * straight.effective)
 
 
-def curve(n: int, seed: int = 0) -> np.ndarray:
-    """Return points (n, 3): the second follows the first by a quadratic to 0.01."""
-    a, b, c = np.random.default_rng(seed).standard_normal((3, n))
-    return np.stack([a, 1.0 + a + 0.1 * a**2 + 0.01 * b, 3.0 * c], axis=1)
-
-
-def test_a_bend_straightens_a_thin_curve_and_keeps_volumes():
-    y = curve(4000)
-    law = QuadraticTransform.of(y, np.full(4000, 1 / 4000), SAMPLING)
-    assert law is not None and law.thin_axes.shape == (3, 1)
-    straight = law.straight(y)
-    assert law.bent(straight) == pytest.approx(y, abs=1e-9)
-    thinnest = np.sqrt(np.linalg.eigvalsh(np.cov(straight.T))[0])
-    assert thinnest < 0.25 * np.sqrt(np.linalg.eigvalsh(np.cov(y.T))[0])
-    columns = [slope_of(lambda h: law.straight(y[:1] + h)[0], h, 1e-6) for h in 1e-6 * np.eye(3)]
-    assert np.linalg.det(np.array(columns)) == pytest.approx(1.0, abs=1e-6)
-
-
-def test_draws_that_are_round_or_few_have_no_bend():
-    round_ = np.random.default_rng(0).standard_normal((4000, 3))
-    assert QuadraticTransform.of(round_, np.full(4000, 1 / 4000), SAMPLING) is None
-    assert QuadraticTransform.of(curve(5), np.full(5, 0.2), SAMPLING) is None
-
-
-def test_a_bent_law_draws_with_the_density_that_it_states():
-    """Means over draws of another density over their own are one, of the law's draws and under a law without a bend."""
-    y = curve(4000)
-    bend = QuadraticTransform.of(y, np.full(4000, 1 / 4000), SAMPLING)
-    mean = bend.straight(y).mean(axis=0, keepdims=True)
-    law = StudentMixture(np.ones(1), mean, np.cov(bend.straight(y).T)[None], bend)
-    points = law.draw(20_000, np.random.default_rng(1), 5.0)
-    inside = law._replace(covariance=0.5 * law.covariance)
-    ratio = np.exp(inside.log_densities(points, 8.0) - law.log_densities(points, 5.0))
-    assert ratio.mean() == pytest.approx(1.0, abs=0.02)
-    wide = StudentMixture(np.ones(1), y.mean(axis=0)[None], 2.0 * np.cov(y.T)[None])
-    points = wide.draw(20_000, np.random.default_rng(2), 5.0)
-    ratio = np.exp(law.log_densities(points, 5.0) - wide.log_densities(points, 5.0))
-    assert ratio.mean() == pytest.approx(1.0, abs=0.1)
-
-
-def test_all_rounds_propose_with_one_density():
-    """A mixture of their laws, in proportion to their draws."""
-    target = one()
-    (ridge,) = ridges_of(target, target.fit([0]), SAMPLING)
-    d = ridge.chart.dimensions
-    laws = [StudentMixture(np.ones(1), np.full((1, d), at), np.eye(d)[None]) for at in (0.0, 2.0)]
-    ridge.past = [(1, laws[0]), (3, laws[1])]
-    y = np.stack([np.zeros(d), np.full(d, 2.0)])
-    first, second = (law.log_densities(y, SAMPLING.freedom)[:, 0] for law in laws)
-    expected = np.log(np.exp(first) / 4 + 3 * np.exp(second) / 4)
-    assert ridge.log_outer(y) == pytest.approx(expected)
-
-
 @pytest.mark.parametrize("weight", [0.5, 0.8])
 def test_two_motions_keep_their_probabilities(weight):
     target = pair(weight)
@@ -323,49 +267,6 @@ def test_an_unknown_with_a_bound_keeps_half_of_the_posterior():
     assert draws.log_evidence == pytest.approx(target.log_integral + np.log(0.5), abs=0.06)
     assert moments(draws)[0] == pytest.approx(np.sqrt(2 / np.pi), abs=0.06)
     assert weights(draws)[draws.motions.u[:, 0] < 0].sum() == 0.0
-
-
-def charted(target):
-    """Return the chart about the first motion, and that motion."""
-    fit = target.fit([0])
-    return Chart.about(
-        target, fit.motions, np.linalg.inv(fit.motions.curvature[0]), SAMPLING
-    ), fit.motions
-
-
-def test_coordinates_of_a_chart_are_inverse_to_its_motions():
-    chart, first = charted(pair(0.5))
-    rng = np.random.default_rng(0)
-    y = rng.normal(size=(50, chart.dimensions))
-    z = 0.3 * rng.normal(size=(50, chart.stiff))
-    motions = chart.motions(y, z, np.tile(first.u, (50, 1)))
-    back_y, back_z = chart.coordinates(motions)
-    assert back_y == pytest.approx(y, abs=1e-9) and back_z == pytest.approx(z, abs=1e-9)
-    # a step along a stiff coordinate, in the motion's own tangents, leads where the chart leads
-    step = np.zeros((50, 5 + 2))
-    step[:, :5] = 1e-4 * chart.stiff_steps(motions, y, z)[:, :, 0]
-    moved = motions.moved(step)
-    size = 1e-4 * np.eye(chart.stiff)[0]
-    there = chart.motions(y, z + size, motions.u)
-    assert moved.sun == pytest.approx(there.sun, abs=1e-7)
-    assert moved.omega == pytest.approx(there.omega, abs=1e-9)
-
-
-def test_volume_of_a_chart_is_that_of_rates_and_solid_angle():
-    chart, first = charted(one())
-    y, z = np.full((1, chart.dimensions), 0.2), np.full((1, chart.stiff), 0.4)
-    middle = chart.motions(y, z, first.u)
-
-    def moved(step):
-        """Return rate and direction after a step of the coordinates, soft ones first."""
-        along = y.copy()
-        along[:, : chart.weak] += step[: chart.weak]
-        end = chart.motions(along, z + step[chart.weak :], first.u)
-        return end.from_centre(middle)[0, :5]
-
-    columns = [slope_of(moved, step, 1e-5) for step in 1e-5 * np.eye(5)]
-    volume = np.log(abs(np.linalg.det(np.array(columns))))
-    assert chart.log_volume(y, z)[0] == pytest.approx(volume, abs=1e-6)
 
 
 def of_model(evidence: float, region_at: list[float], n: int = 400) -> Draws:

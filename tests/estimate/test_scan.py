@@ -13,14 +13,7 @@ from sunspin.telemetry.sun import reconstructible_patterns
 from tests.support.vehicles import FIRST_SUN
 
 PHILAE = ss.load_vehicle("philae")
-N_ROWS = 16
 AXES = ("omega_x", "omega_y", "omega_z")
-
-
-def grid_rows(n: int, seed: int):
-    rng = np.random.default_rng(seed)
-    xy, z = np.linspace(-0.5, 1, 101), np.linspace(-0.3, 0.3, 41)
-    return np.column_stack([rng.choice(xy, n), rng.choice(xy, n), rng.choice(z, n)])
 
 
 def reference_emd(omega, target):
@@ -31,20 +24,16 @@ def reference_emd(omega, target):
     return wasserstein_distance(seen, target) / 2
 
 
-def compare(n: int, seed: int) -> np.ndarray:
-    target = np.random.default_rng(seed).uniform(0.05, 0.98, 15)
-    error = []
-    for omega in grid_rows(n, seed):
-        ours = ss.scan(PHILAE, target, FIRST_SUN, *omega[:, None], 865.0, 2700.0)
-        error.append(abs(ours.item() - reference_emd(omega, target)))
-    return np.array(error)
-
-
 @pytest.mark.evidence(
     "scan", "validated", "SciPy's Wasserstein distance of densely sampled heyoka trajectories"
 )
 def test_scan_emd_agrees_with_the_reference(reached):
-    error = compare(N_ROWS, 1)
+    rng, error = np.random.default_rng(1), []
+    target = rng.uniform(0.05, 0.98, 15)
+    for omega in rng.uniform([-0.5, -0.5, -0.3], [1, 1, 0.3], (16, 3)):
+        ours = ss.scan(PHILAE, target, FIRST_SUN, *omega[:, None], 865.0, 2700.0)
+        error.append(abs(ours.item() - reference_emd(omega, target)))
+    error = np.array(error)
     reached("largest difference of EMD", error, "", 1e-3)
     reached("motions", error.size)
     assert error.max() < 1e-3
@@ -83,20 +72,13 @@ def test_the_track_metric_finds_the_truth():
     assert volume.values.min() < 1e-4
 
 
-def test_a_motion_without_an_allowed_direction_has_the_largest_emd():
-    below = np.array([0.1, 0.1, -0.99]) / np.linalg.norm([0.1, 0.1, -0.99])
-    assert ss.scan(PHILAE, [0.5], below, 0.0, 0.0, 0.0, 865.0, 60.0).item() == 1.0
-
-
 @pytest.mark.evidence("near_minimum", "verified", "a volume of a few points, by hand")
 def test_the_near_minimum_set_by_hand():
+    """Motions that failed are never in it."""
     coords = {"omega_x": [0.5], "omega_y": [0.1, 0.2], "omega_z": [-0.1, 0.1]}
     volume = xr.DataArray([[[1.0, 1.05], [2.0, 1.11]]], coords, AXES)
     np.testing.assert_array_equal(near_minimum(volume, 1.1), [[0.5, 0.1, -0.1], [0.5, 0.1, 0.1]])
     np.testing.assert_array_equal(near_minimum(volume - 1.0), [[0.5, 0.1, -0.1]])  # smallest: 0
-
-
-def test_rows_that_failed_are_never_in_the_near_minimum_set():
     coords = {"omega_x": [0.5], "omega_y": [0.1], "omega_z": [-0.1, 0.0, 0.1]}
     volume = xr.DataArray([[[0.0, 1.0, 1.05]]], coords, AXES)
     volume = volume.assign_coords(outcome=(AXES, [[[3, 0, 0]]]))
@@ -152,7 +134,7 @@ def area(hist, target, weights) -> float:
     return float(np.abs(ours - steps[np.searchsorted(target[order], Z, side="right")]).mean())
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", range(2))
 def test_histogram_emd_is_half_the_area_between_the_distributions(seed):
     rng = np.random.default_rng(seed)
     hist = rng.exponential(1.0, (6, BINS)) * (rng.random((6, BINS)) < rng.uniform(0.02, 1, (6, 1)))

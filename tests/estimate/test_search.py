@@ -7,11 +7,10 @@ import pytest
 
 from sunspin.base.errors import InputError
 from sunspin.estimate import starts
-from sunspin.estimate.budget import USUAL, Budget
-from sunspin.estimate.chain import Chain, fit, propagate
-from sunspin.estimate.copies import distinct
+from sunspin.estimate.budget import Budget
+from sunspin.estimate.chain import Chain, propagate
 from sunspin.estimate.model import Body, Model, Noise, Observations, Track
-from sunspin.estimate.search import grown, search
+from sunspin.estimate.search import search
 from sunspin.estimate.settings import AlternativeSettings, SearchSettings
 from sunspin.estimate.starts import (
     PairStarts,
@@ -106,15 +105,6 @@ def test_more_turns_than_can_be_tried_are_refused():
         search(Chain(fast, s), pair_starts(fast, s), s, Budget(np.inf), pairs_to_try(fast, s))
 
 
-def test_a_budget_that_is_spent_says_that_something_was_left_out():
-    budget = Budget.of(2.0)
-    budget.spend(USUAL)
-    assert not budget.exhausted() and not budget.cut
-    budget.spend(USUAL)
-    assert budget.exhausted() and budget.cut
-    assert Budget.of(np.inf).most == np.inf
-
-
 def test_a_search_of_faster_starts_alone_finds_a_motion_beyond_the_largest_rate():
     model, truth = watched(15.0, max_deg_s=20.0)
     slowest = np.radians(10.0)
@@ -137,33 +127,6 @@ def test_the_slowest_start_is_kept_however_badly_it_fits(monkeypatch, at_once):
     pair = PairStarts(np.tile(truth.sun_B[0, 0], (41, 1)), rates, 0.1)
     speed = np.linalg.norm(_best_starts(model, 0, pair, 4).omega[:, 0], axis=1)
     assert len(speed) == 4 and speed.min() == 0.0 and np.median(speed) > np.radians(4.0)
-
-
-def test_windows_grow_to_all_samples():
-    t_s, window, windows = np.arange(40.0), slice(3, 8), []
-    while window != slice(0, 40):
-        window = grown(t_s, window, SEARCH.growth)
-        windows.append(window)
-    sizes = [one.stop - one.start for one in windows]
-    assert sizes == sorted(sizes) and max(np.diff(sizes)) <= 14
-
-
-def test_copies_fall_and_mirror_images_stay():
-    model, truth = watched(1.0)
-    near = rotate_attitude(truth.attitude, np.array([0.0, 0.0, 0.05]))
-    image = np.diag([1.0, 1.0, -1.0]) @ truth.attitude @ np.diag([-1.0, 1.0, 1.0])
-    attitudes, omega = np.concatenate([truth.attitude, near, image]), truth.omega.repeat(3, axis=0)
-    motions = Track(attitudes, omega, np.zeros((3, 0)), np.array([1.0, 2.0, 3.0]))
-    assert distinct(motions, model.obs.t_s, SEARCH, most=9).tolist() == [0, 2]
-
-
-def test_a_fit_of_a_candidate_does_not_hang_on_the_others():
-    model, truth = watched(1.0)
-    rng = np.random.default_rng(1)
-    omega = truth.omega[:, 9] + 1e-3 * rng.normal(size=(5, 3))
-    begin = propagate(model, 9, truth.attitude[:, 9].repeat(5, 0), omega)
-    together, alone = fit(model, begin, 6), fit(model, begin.take(slice(3, 4)), 6)
-    assert np.allclose(together.motions.omega[3], alone.motions.omega[0], rtol=0, atol=1e-12)
 
 
 def test_aliases_of_a_motion_turn_whole_revolutions_more():

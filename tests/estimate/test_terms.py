@@ -15,7 +15,7 @@ from sunspin.estimate.observe import observe
 from sunspin.estimate.settings import FIELD_TURN
 from sunspin.estimate.terms.directions import SunDirections
 from sunspin.estimate.terms.earth_light import EarthLight
-from sunspin.estimate.terms.field import FieldChange, FieldDirection, KnownField
+from sunspin.estimate.terms.field import FieldChange, KnownField
 from sunspin.estimate.terms.inertial import AttitudeChange, GyroRates, Latency, RateMagnitudes
 from sunspin.estimate.terms.panels import DEFAULT_EARTH_SHARE, Panels, ReadingTimes
 from sunspin.estimate.terms.term import facing
@@ -160,14 +160,6 @@ def test_the_slope_of_the_cost_is_that_of_differences(name, late):
         assert np.allclose(by_u, system.border_slope[:, j], rtol=1e-3, atol=atol)
 
 
-def test_neighbours_fit_the_field_that_they_read():
-    seen = motions(np.random.default_rng(5), count=1)
-    term = FieldChange(T_S, seen.attitude[0] @ [0.3, -0.2, 0.9], 0.01)
-    (residual,) = term.residuals(seen, np.zeros((1, 0)))
-    assert np.abs(residual.value).max() < 1e-12
-    assert not term.present()[0] and term.present()[1:].all()
-
-
 def test_an_even_drift_of_the_field_is_met_by_its_unknowns():
     seen = motions(np.random.default_rng(6), count=1)
     drift = 1e-3 * np.array([0.4, -0.7, 0.2])  # of a field of size one, a second
@@ -179,25 +171,6 @@ def test_an_even_drift_of_the_field_is_met_by_its_unknowns():
     (before,) = term.residuals(seen, 0 * u)
     (after,) = term.residuals(seen, u)
     assert np.abs(before.value).max() > 1 and np.abs(after.value).max() < 1e-6
-
-
-def test_the_turn_about_the_sun_is_that_of_the_field():
-    rng = np.random.default_rng(7)
-    seen = motions(rng, count=1)
-    term = replace(known_field(rng), read_B=np.einsum("nij,nj->ni", seen.attitude[0], field_N()))
-    turned = seen.attitude @ Rotation.from_rotvec([0.0, 0.0, 2.1]).as_matrix()
-    attitude, _ = term.first_guess(replace(seen, attitude=turned), about_sun=False)
-    assert np.allclose(attitude, seen.attitude, atol=1e-9)
-
-
-def test_axes_along_the_field_have_it_on_z_and_turn_least():
-    term = known_field(np.random.default_rng(8))
-    unit, frames = units(field_N()), term.field_axes()
-    assert np.allclose(frames @ unit[..., None], [[0.0], [0.0], [1.0]], atol=1e-12)
-    # they turn in space if no orbit says how
-    assert FieldDirection.axes_rad_s == FIELD_TURN and not term.axes_rad_s
-    between = Rotation.from_matrix(frames[1:] @ np.swapaxes(frames[:-1], 1, 2)).magnitude()
-    assert np.allclose(between, np.arccos(np.einsum("ni,ni->n", unit[1:], unit[:-1])), atol=1e-9)
 
 
 def test_the_zero_of_a_spinner_is_what_its_strengths_show():
@@ -229,7 +202,7 @@ def test_a_zero_that_is_exact_on_one_axis_stays_so_on_that_axis():
     assert abs((read - term.field_B)[0, 2]) < 1e-3
 
 
-@pytest.mark.parametrize("size", [0.0, 1e-7, 0.01, 3.0])
+@pytest.mark.parametrize("size", [0.0, 0.01, 3.0])
 @pytest.mark.parametrize("known", [False, True])
 def test_a_magnetic_torque_is_averaged_over_revolutions(size, known):
     rng = np.random.default_rng(11)
@@ -272,84 +245,83 @@ def test_gravity_turns_the_long_axis_to_the_earth():
     assert np.allclose(pushed, np.concatenate([50 * pull, 10 * pull]), rtol=1e-9, atol=1e-15)
 
 
+MOMENTS = np.diag([1.2, 1.0, 0.8])
+DT, SIZE = 8.0, 1e-6
+
+
+def integrated(omega, wheel, push=lambda turned: np.zeros(3)):
+    """Return attitude and rate after DT, by another integrator: with a momentum wheel(t) and a torque by attitude."""
+
+    def change(t, y):
+        total, turned = y[:3], y[3:].reshape(3, 3)
+        rate = np.linalg.solve(MOMENTS, total - wheel(t))
+        turning = -np.cross(rate, turned, axisb=0, axisc=0)
+        return np.concatenate([np.cross(total, rate) + push(turned), turning.ravel()])
+
+    start = np.concatenate([omega @ MOMENTS + wheel(0.0), np.eye(3).ravel()])
+    precise = {"method": "DOP853", "rtol": 1e-12, "atol": 1e-14, "max_step": 0.5}
+    y = solve_ivp(change, (0, DT), start, **precise).y[:, -1]
+    return y[3:].reshape(3, 3), np.linalg.solve(MOMENTS, y[:3] - wheel(DT))
+
+
+def difference(first, second):
+    """Return by how much attitude and rate (6) of a second motion differ from those of a first one."""
+    return np.concatenate([rotation_between(first[0], second[0]), second[1] - first[1]])
+
+
 @pytest.mark.parametrize("frame", ["B", "N"])
 def test_a_constant_torque_pushes_as_an_integration_with_it_does(frame):
-    inertia, size, dt = np.diag([1.2, 1.0, 0.8]), 1e-6, 8.0
     momentum, omega = np.array([0.0, 0.01, 0.0]), np.array([0.05, -0.02, 0.08])
     attitude = facing(np.array([0.6, 0.0, 0.8]))
-    torque = ConstantTorque(frame, 1.0, (1.0,), inertia, np.tile(momentum, (2, 1)))
+    torque = ConstantTorque(frame, 1.0, (1.0,), MOMENTS, np.tile(momentum, (2, 1)))
     seen = States(np.tile(attitude, (1, 2, 1, 1)), np.tile(omega, (1, 2, 1)))
-    push = torque.added_by_unknowns(seen, np.array([dt]))[0, 0]
+    push = torque.added_by_unknowns(seen, np.array([DT]))[0, 0]
 
-    def end(torque_B_or_N):
-        """Return attitude and rate after dt with a torque, by Euler's equations in another integrator."""
+    def end(axis):
+        """Return the end of a motion under a torque along an axis of the body or of space."""
 
-        def change(_, y):
-            turned = y[3:].reshape(3, 3)
-            rate = np.linalg.solve(inertia, y[:3] - momentum)
-            push = torque_B_or_N if frame == "B" else turned @ attitude @ torque_B_or_N
-            turning = -np.cross(rate, turned, axisb=0, axisc=0)
-            return np.concatenate([np.cross(y[:3], rate) + push, turning.ravel()])
+        def of_attitude(turned):
+            return SIZE * (axis if frame == "B" else turned @ attitude @ axis)
 
-        start = np.concatenate([omega @ inertia + momentum, np.eye(3).ravel()])
-        y = solve_ivp(change, (0, dt), start, method="DOP853", rtol=1e-12, atol=1e-14).y[:, -1]
-        return y[3:].reshape(3, 3), np.linalg.solve(inertia, y[:3] - momentum)
+        return integrated(omega, lambda t: momentum, of_attitude)
 
     free = end(np.zeros(3))
-    for axis in range(3):
-        pushed = end(size * np.eye(3)[axis])
-        turn = rotation_between(free[0], pushed[0])
-        change = np.concatenate([turn, pushed[1] - free[1]]) / size
-        assert np.allclose(push[:, axis], change, rtol=0.03, atol=0.03 * np.abs(change).max())
+    for k, axis in enumerate(np.eye(3)):
+        change = difference(free, end(axis)) / SIZE
+        assert np.allclose(push[:, k], change, rtol=0.03, atol=0.03 * np.abs(change).max())
 
 
 def test_a_wheel_that_changes_its_speed_turns_the_body_as_an_integration_does():
     """Along a ramp within the interval, and by each error of the ramp and of the momentum at the knots."""
-    inertia, dt, size = np.diag([1.2, 1.0, 0.8]), 8.0, 1e-6
     axis, omega = np.array([0.0, 0.6, 0.8]), np.array([0.03, -0.02, 0.05])
     h = np.array([0.0, 0.01, 0.0])
-    t_s, ramp = np.array([0.0, dt]), Ramp(2.0, 6.0, size)
+    t_s, ramp = np.array([0.0, DT]), Ramp(2.0, 6.0, SIZE)
     momentum = h + np.outer(ramp.change(t_s), axis)
-    wheel = WheelChange(t_s, axis, ramp, 1.0, inertia, momentum)
+    wheel = WheelChange(t_s, axis, ramp, 1.0, MOMENTS, momentum)
     seen = States(np.tile(np.eye(3), (1, 2, 1, 1)), np.tile(omega, (1, 2, 1)))
 
-    def end(lost):
-        """Return attitude and rate after dt if the wheel's momentum has grown by lost(t), by another integrator."""
-
-        def change(t, y):
-            total, turned = y[:3], y[3:].reshape(3, 3)
-            rate = np.linalg.solve(inertia, total - h - lost(t) * axis)
-            turning = -np.cross(rate, turned, axisb=0, axisc=0)
-            return np.concatenate([np.cross(total, rate), turning.ravel()])
-
-        start = np.concatenate([omega @ inertia + h + lost(0.0) * axis, np.eye(3).ravel()])
-        run = solve_ivp(
-            change, (0, dt), start, method="DOP853", rtol=1e-12, atol=1e-14, max_step=0.5
+    def change(lost, before):
+        """Return what a change of the wheel's momentum, lost(t), adds to that of another one."""
+        return difference(
+            *(integrated(omega, lambda t, f=f: h + f(t) * axis) for f in (before, lost))
         )
-        total, turned = run.y[:3, -1], run.y[3:, -1].reshape(3, 3)
-        return turned, np.linalg.solve(inertia, total - h - lost(dt) * axis)
-
-    def difference(lost, before):
-        first, second = end(before), end(lost)
-        return np.concatenate([rotation_between(first[0], second[0]), second[1] - first[1]])
 
     def straight(t):
-        return size * t / dt
+        return SIZE * t / DT
 
-    known = wheel.added_by_torque(seen, np.array([dt]))[0, 0]
-    exact = difference(lambda t: ramp.change(t), straight)
+    known = wheel.added_by_torque(seen, np.array([DT]))[0, 0]
     # a ramp in the middle is even about it
-    assert np.abs(known).max() < 1e-12 and np.abs(exact).max() < 0.1 * size
-    late = replace(wheel, ramp=Ramp(5.0, 7.0, size))
-    known = late.added_by_torque(seen, np.array([dt]))[0, 0]
-    exact = difference(lambda t: late.ramp.change(t), straight)
+    assert np.abs(known).max() < 1e-12 and np.abs(change(ramp.change, straight)).max() < 0.1 * SIZE
+    late = replace(wheel, ramp=Ramp(5.0, 7.0, SIZE))
+    known = late.added_by_torque(seen, np.array([DT]))[0, 0]
+    exact = change(late.ramp.change, straight)
     # the body turns by 0.5 rad in the interval; to first order in that
     assert np.allclose(known[:3], exact[:3], atol=0.15 * np.abs(exact[:3]).max())
 
-    by_errors = wheel.added_by_unknowns(seen, np.array([dt]))[0, 0]
-    longer = difference(lambda t: 1.1 * ramp.change(t), ramp.change) / 0.1
+    by_errors = wheel.added_by_unknowns(seen, np.array([DT]))[0, 0]
+    longer = change(lambda t: 1.1 * ramp.change(t), ramp.change) / 0.1
     assert np.allclose(by_errors[:, 0], longer, atol=0.05 * np.abs(longer).max())
-    later = difference(lambda t: Ramp(2.0, 6.1, size).change(t), ramp.change) / 0.1
+    later = change(Ramp(2.0, 6.1, SIZE).change, ramp.change) / 0.1
     assert np.allclose(by_errors[:3, 2], later[:3], atol=0.15 * np.abs(later[:3]).max())
 
 
@@ -365,17 +337,6 @@ def test_opposite_panels_see_sun_and_earth_as_one_vector():
     share = more / term.full_sun
     both = np.einsum("knij,j->kni", seen.attitude, light)
     assert np.allclose(share[..., :3] - share[..., 3:], both, atol=1e-12)
-
-
-def test_a_search_uses_differences_of_opposite_panels():
-    term = panels(np.random.default_rng(12), known=False)
-    (loose,) = term.for_search()
-    share = term.power / term.full_sun
-    brighter = np.maximum(share - np.roll(share, 3, axis=1), 0.0)
-    assert np.allclose(loose.power / term.full_sun, brighter) and loose.earth is None
-    error = 0.03 / term.full_sun
-    assert (loose.sigma / term.full_sun >= np.hypot(error, np.roll(error, 3)) - 1e-12).all()
-    assert not loose.unknowns()
 
 
 def test_panels_in_the_shadow_must_be_dark_and_show_no_sun():

@@ -91,10 +91,6 @@ def test_the_probability_of_few_runs_is_that_over_all_arrangements():
     assert misfit(np.repeat([1.0, 9.0], 5)).chance == pytest.approx(expected, rel=1e-12)
 
 
-def test_a_sensor_without_readings_is_no_poor_fit():
-    assert misfit(np.full(5, np.nan)) == Misfit(0, 0.0, 1.0) and misfit(np.full(5, np.nan)).fits
-
-
 def test_the_table_of_passes_has_a_row_for_each_solution_and_no_empty_one():
     omega, sigma = np.array([[0.0, 0.0, 0.1], [0.2, 0.0, 0.0]]), np.full((2, 3), 1e-3)
     shares = np.array([0.7, 0.3])

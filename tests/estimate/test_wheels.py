@@ -17,7 +17,7 @@ from sunspin.estimate.observe import COASTING, HELD, take_samples, wheel_models
 from sunspin.estimate.rates import rates
 from sunspin.estimate.wheels import WRAPPED_RAD, momentum_of_each, reversed_momenta
 from sunspin.vehicle import Friction
-from tests.support.passes import estimate, tumbling_pass
+from tests.support.passes import errors_in_sigmas, estimate, tumbling_pass
 from tests.support.simulate import CUBE_WITHOUT_NOISE_STATED, pulls
 from validation.passes import make
 
@@ -48,7 +48,8 @@ def estimated(monkeypatch):
             patch.setattr(ONE_PASS, "search", search)
             for name, function in replaced.items():
                 patch.setattr(WHEELS, name, function)
-            result = ss.rates(vehicle, telemetry, max_rate_rad_s=np.radians(5))
+            options = {"max_rate_rad_s": np.radians(5), "column_tests": False}
+            result = ss.rates(vehicle, telemetry, **options)
         return result, len(searches)
 
     return run
@@ -157,10 +158,11 @@ def test_reversed_wheels_are_searched_under_what_the_wheels_are_decided_to_do(
 
 
 def test_results_with_a_wheel_do_not_depend_on_the_number_of_workers(seen):
-    data, _ = seen
-    one, two = (
-        rates(SLOWING, data, max_rate_rad_s=0.06, column_tests=False, workers=k) for k in (1, 2)
-    )
+    """Of a wheel that slows down so much that its models, held and coasting, are searched for each."""
+    slowing = replace(WHEEL, friction=Friction(coulomb_N_m=1.2e-5))
+    craft, data = replace(ONE, wheels=(slowing,)), seen[0].isel(time=slice(8))
+    options = {"max_rate_rad_s": 0.06, "column_tests": False}
+    one, two = (rates(craft, data, workers=k, **options) for k in (1, 2))
     xr.testing.assert_identical(one, two)
 
 
@@ -175,8 +177,7 @@ def test_a_wheel_of_the_right_sign_is_not_accused(seen):
     assert result["columns_checked"].values[0] == "unchecked"
 
 
-@pytest.mark.parametrize("seed", [11, 51])
-def test_rates_are_right_after_a_wheel_is_braked_and_the_change_is_named(seed, monkeypatch):
+def test_rates_are_right_after_a_wheel_is_braked_and_the_change_is_named(monkeypatch):
     """Without the changed momentum, passes were decided and 19 to 50 sigma off after the wheel was braked."""
     tested, doubted_signs = [], RATES.doubted_signs
 
@@ -185,16 +186,15 @@ def test_rates_are_right_after_a_wheel_is_braked_and_the_change_is_named(seed, m
         return doubted_signs(obs, compared, momenta, *rest)
 
     monkeypatch.setattr(RATES, "doubted_signs", record)
-    simulated = make("wheel braked", seed, 4)
+    simulated = make("wheel braked", 11, 4)
     result = estimate(simulated)
-    off, covariance = result["omega_B"].values - simulated.omega, result["omega_cov_B"].values
-    sigmas = np.abs(off) / np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))
-    assert result["decided"].values.all() and sigmas.max() < 4.5
-    assert np.degrees(np.abs(off[-1]).max()) < 0.2
-    change, verdict = result.attrs["wheel_change"], result.attrs["verdict"]
-    assert (
-        "wheel: speed changed by about" in change and f"({change}), which the file does" in verdict
-    )
+    assert result["decided"].values.all()
+    assert np.abs(errors_in_sigmas(result, simulated.omega)).max() < 4.5
+    last = result["omega_B"].values[-1] - simulated.omega[-1]
+    assert np.degrees(np.abs(last).max()) < 0.2
+    change = result.attrs["wheel_change"]
+    assert "wheel: speed changed by about" in change
+    assert f"({change}), which the file does" in result.attrs["verdict"]
     # the reversed wheel, with which the file is compared, changes its speed too: else reversed wheels were not found
     ((momentum, momenta),) = tested
     np.testing.assert_allclose(np.ptp(momentum - momenta[(0,)], axis=0), 0, atol=1e-12)

@@ -13,7 +13,8 @@ from sunspin.landing.outcomes import OutcomeRows, read_candidates
 from sunspin.landing.strategies import best_delay, compare
 from sunspin.landing.tally import density, effective_runs, estimate, lowest_rz, probability, tally
 from sunspin.philae.rebound import published_candidates
-from sunspin.vehicle import HullPart, Leg, Panel, Vehicle, Wheel
+from sunspin.vehicle import Leg, Panel, Vehicle, Wheel
+from tests.support.vehicles import small_lander
 
 
 @pytest.fixture(scope="module")
@@ -86,6 +87,9 @@ def test_probabilities_sum_to_one_and_densities_to_area_one(paper):
             area = float(curve["density"].sum()) * 2 / curve.sizes["rz"]
             assert area == pytest.approx(1, abs=1e-6)
         assert not runs["outcome"].values.any()
+    attrs = paper["held"].attrs
+    assert (attrs["seed"], attrs["strategy"]) == (7, "held")
+    assert json.loads(attrs["scenario"])["collision_speed_m_s"] == 0.2355
 
 
 @pytest.mark.evidence(
@@ -131,22 +135,14 @@ def test_a_body_at_rest_lands_on_its_legs_at_the_landing_speed(case):
     assert found["up_z"].value > 0.999
 
 
-def box_with_feet() -> Vehicle:
-    corners = [[x, y, z] for x in (-0.1, 0.1) for y in (-0.1, 0.1) for z in (-0.1, 0.2)]
-    feet = [Leg("a", [0.3, 0, -0.2]), Leg("b", [-0.15, 0.26, -0.2]), Leg("c", [-0.15, -0.26, -0.2])]
-    panels = [Panel("x", [1, 0, 0], 1.0), Panel("z", [0, 0, 1], 1.0)]
-    inertia, hull = np.diag([0.042, 0.041, 0.03]), [HullPart("box", corners)]
-    return Vehicle("box", inertia, 4.0, panels, legs=feet, hull=hull)
-
-
 def test_contacts_of_fast_spins_agree_with_closer_samples(monkeypatch):
     """At 3 rad/s samples 0.4 s apart are 1.2 rad apart: a tenth of the runs once touched with the wrong point, legs too rarely."""
     scenario = sc.Scenario((0.36, 0.48, 0.8), (), 600.0, vertical="any")
     rates, options = [[2.151, 1.076, 1.793]], {"scenario": scenario, "chunk": 64}
-    usual = ss.outcomes(box_with_feet(), rates, "off", 120, 0, **options)
+    usual = ss.outcomes(small_lander(), rates, "off", 120, 0, **options)
     monkeypatch.setattr("sunspin.landing.outcomes.APPROACH_STEP_S", 0.02)
     monkeypatch.setattr("sunspin.landing.outcomes.MAX_APPROACH_SAMPLES", 10_000)
-    close = ss.outcomes(box_with_feet(), rates, "off", 120, 0, **options)
+    close = ss.outcomes(small_lander(), rates, "off", 120, 0, **options)
     assert np.mean(usual["contact_point"].values == close["contact_point"].values) > 0.98
     usual_speed, close_speed = (runs["leg_tip_speed"].mean() for runs in (usual, close))
     np.testing.assert_allclose(usual_speed, close_speed, rtol=2e-3)
@@ -155,7 +151,7 @@ def test_contacts_of_fast_spins_agree_with_closer_samples(monkeypatch):
 def test_a_landing_speed_too_slow_for_the_flight_gives_no_contact():
     """Once it 'touched' at the first instant that was looked at, far above the ground."""
     scenario = sc.Scenario((0.36, 0.48, 0.8), (), 600.0, landing_speed_m_s=0.001, vertical="any")
-    runs = ss.outcomes(box_with_feet(), [[0.1, 0.2, 0.1]], "off", 20, 0, scenario=scenario)
+    runs = ss.outcomes(small_lander(), [[0.1, 0.2, 0.1]], "off", 20, 0, scenario=scenario)
     assert np.all(runs["contact_point"].values == -1) and "touch_leg" not in tally(runs)
     assert "longer than the flight" in runs.attrs["not_told"]
     np.testing.assert_allclose(runs["rz_share"].values.sum(axis=1), 1, atol=1e-5)
@@ -171,12 +167,12 @@ def test_outcomes_that_cannot_be_computed_are_one_sentence(case):
     with pytest.raises(ss.InputError, match=words):
         compare(two, [[0.1, 0.0, 0.2]], ["off"], 4, 0, back)
     along, rates = sc.Scenario((0.0, 0.0, 1.0), (), 600.0), [[0.0, 0.0, 0.2], [0.1, 0.0, 0.2]]
-    runs = ss.outcomes(box_with_feet(), rates, "off", 20, 0, scenario=along)
+    runs = ss.outcomes(small_lander(), rates, "off", 20, 0, scenario=along)
     parallel = int(np.sum(runs["candidate"].values == 0))
     assert 0 < parallel < 20
     assert f"In {parallel} of 20 runs momentum and Sun were parallel" in runs.attrs["not_told"]
     with pytest.raises(ss.InputError, match="has no wheel to switch off"):
-        best_delay(box_with_feet(), [[0.1, 0.0, 0.2]], n=4, scenario=along)
+        best_delay(small_lander(), [[0.1, 0.0, 0.2]], n=4, scenario=along)
 
 
 def test_an_outcome_of_all_or_no_runs_has_an_uncertain_probability():
@@ -219,21 +215,16 @@ def test_candidates_can_have_their_own_sun_wheel_speed_and_weight(case):
         ss.outcomes(case.vehicle, short, scenario=scenario)
 
 
-def craft(kind: str) -> Vehicle:
-    inertia = np.diag([3.0, 4.0, 5.0])
+def craft(kind: str = "no wheel") -> Vehicle:
     axes = enumerate(([1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, 0, 1]))
     panels = [Panel(str(k), axis, 1.0) for k, axis in axes]
     legs = [Leg("a", [1.0, 0, -1]), Leg("b", [-1.0, 0, -1])]
+    whole = Vehicle("a", np.diag([3.0, 4.0, 5.0]), 20.0, panels, legs=legs)
     wheel = Wheel("x", [1, 0, 0], 0.01, 100.0, ss.Friction(1e-3, 1e-6), brake_torque_N_m=0.1)
-    wheels = [wheel, replace(wheel, name="z", axis_B=[0, 0, 1])]
-    return {
-        "no wheel": Vehicle("a", inertia, 20.0, panels, legs=legs),
-        "wheel on x": Vehicle("b", inertia, 20.0, panels, [wheel], legs),
-        "two wheels": Vehicle("c", inertia, 20.0, panels, wheels, legs),
-        "no legs": Vehicle("d", inertia, 20.0, panels),
-        "no mass": Vehicle("e", inertia, None, panels, legs=legs),
-        "no panels": Vehicle("f", inertia, 20.0, legs=legs),
-    }[kind]
+    other = replace(wheel, name="z", axis_B=[0, 0, 1])
+    changes = {"wheel on x": {"wheels": [wheel]}, "two wheels": {"wheels": [wheel, other]}}
+    changes |= {"no legs": {"legs": ()}, "no mass": {"mass_kg": None}, "no panels": {"panels": ()}}
+    return replace(whole, **changes.get(kind, {}))
 
 
 # two kernels each, 17 s
@@ -255,12 +246,6 @@ def test_outcomes_of_other_vehicles_name_what_is_unknown(kind):
         assert known == (kind not in ("no legs", "no mass"))
         assert "Without a hull" in runs.attrs["not_told"] and "antenna" in runs.attrs["not_told"]
         assert "rest_leg" not in tally(runs)
-
-
-def test_attributes_of_outcomes_describe_the_run(paper):
-    runs = paper["held"]
-    assert (runs.attrs["seed"], runs.attrs["strategy"]) == (7, "held")
-    assert json.loads(runs.attrs["scenario"])["collision_speed_m_s"] == 0.2355
 
 
 def test_errors_of_estimated_outcomes_are_the_scatter_of_repeated_samples():
@@ -314,4 +299,4 @@ def test_bad_landing_scenarios_are_named(case, change, text):
 
 def test_a_vehicle_without_a_case_needs_a_scenario():
     with pytest.raises(ss.InputError, match="nothing is known of what happens to 'a'"):
-        ss.outcomes(craft("no wheel"), [[0.1, 0, 0]], n=4)
+        ss.outcomes(craft(), [[0.1, 0, 0]], n=4)

@@ -91,7 +91,7 @@ def no_conclusion(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return shared_folder(tmp_path_factory, "shuffled", make) / "results"
 
 
-SMALL_STUDY = {"coarser": 25, "calibrate": 30, "posterior": False}
+SMALL_STUDY = {"coarser": 25, "calibrate": 30, "posterior": False, "workers": 1}
 """Synthetic rebounds of the calibration: enough for a 90 % level."""
 
 
@@ -124,16 +124,17 @@ def user_runs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
         telemetry.write_text("".join(lines[:SAMPLES]), "utf-8")
         data = str(vehicle), str(telemetry)
         sunspin("sun", *data, "--out", str(root / "sun"))
-        sunspin("rates", *data, "--max-rate-deg-s", "5", "--out", str(root / "rates"))
+        quick = "--max-rate-deg-s=5", "--effort=0.1", "--no-column-tests", "--workers=1"
+        sunspin("rates", *data, *quick, "--out", str(root / "rates"))
         grid = [f"--omega-{axis}-deg-s=-6:6:3" for axis in "xyz"]
         sunspin("scan", *data, *grid, "--lines", "0", "--out", str(root / "scan"))
         known = [f"--prior={key}=0" for key in "inertia friction wheel_speed steady_torque".split()]
         # half the draws of the default take half the time
-        few = "--prior=max_rate_rad_s=0.1", "--draws=200", "--predict=0,600"
+        few = "--prior=max_rate_rad_s=0.1", "--draws=200", "--predict=0,600", "--workers=1"
         sunspin("posterior", *data, *known, *few, "--out", str(root / "posterior"))
         motion = "--omega-deg-s=1.146,-1.719,2.865", "--sun=0.5,0.4,0.768", "--duration=300"
         sunspin("simulate", str(vehicle), *motion, "--out", str(root / "simulate"))
-        runs = "outcomes philae --runs 20 --strategy off --strategy held --out".split()
+        runs = "outcomes philae --runs 20 --strategy off --strategy held --workers 1 --out".split()
         sunspin(*runs, str(root / "outcomes"))
         for name in RUNS:
             sunspin("report", str(root / name))

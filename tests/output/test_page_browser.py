@@ -60,7 +60,7 @@ def test_entries_on_the_page_can_be_filtered(page, study):
 @pytest.mark.long
 @pytest.mark.parametrize(("width", "dark"), [(400, True), (400, False), (1300, True)])
 def test_the_page_is_legible_in_a_narrow_and_a_dark_window(browser, study, width, dark):
-    browser.open(study / "report.html", width, 844, dark)
+    browser.open(study / "report.html", width, 400, dark)
     browser.show(MOTION)
     assert browser.js("document.documentElement.scrollWidth <= innerWidth")
     paper = browser.js("getComputedStyle(document.body).backgroundColor")
@@ -83,10 +83,10 @@ def test_a_page_without_conclusions_shows_its_reason_first(browser, no_conclusio
 
 @pytest.mark.parametrize(
     "name",
-    ["simulate", *(pytest.param(name, marks=pytest.mark.long) for name in ("rates", "posterior"))],
+    ["simulate", pytest.param("posterior", marks=pytest.mark.long)],
 )
 def test_the_page_of_a_vehicle_with_a_hostile_name_animates_its_motion(browser, user_runs, name):
-    browser.open(user_runs[name] / "report.html", 640, 480)  # the processor paints each pixel
+    browser.open(user_runs[name] / "report.html", 640, 240)  # the processor paints each pixel
     browser.show(MOTION)
     assert browser.js("window.hacked === undefined") and browser.complaints() == []
     assert HOSTILE in text(browser, "main")
@@ -109,7 +109,7 @@ def test_a_narrow_window_sees_a_view_from_farther_away(browser, user_runs):
     """Else the titles of the axes are cut at 420 pixels."""
     distance = []
     for width in (420, 900):
-        browser.open(user_runs["simulate"] / "report.html", width, 480)
+        browser.open(user_runs["simulate"] / "report.html", width, 240)
         browser.show(MOTION)
         eye = f'document.querySelector("{MOTION}")._fullLayout.scene.camera.eye'
         distance.append(browser.js(f"Math.hypot({eye}.x, {eye}.y, {eye}.z)"))
@@ -126,9 +126,8 @@ def contrast(a: str, b: str) -> float:
     return max(levels) / min(levels)
 
 
-@pytest.mark.parametrize("dark", [False, True])
-def test_the_time_of_the_animation_is_legible_in_both_themes(browser, user_runs, dark):
-    browser.open(user_runs["simulate"] / "report.html", 640, 480, dark)
+def test_the_time_of_the_animation_is_legible_in_both_themes(browser, user_runs):
+    browser.open(user_runs["simulate"] / "report.html", 640, 240)
     browser.show(MOTION)
     label = f'getComputedStyle(document.querySelector("{MOTION} .slider-label"))'
     paper = "getComputedStyle(document.body).backgroundColor"

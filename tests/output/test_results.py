@@ -2,6 +2,7 @@
 
 import json
 import re
+from functools import cache
 from importlib import import_module
 
 import numpy as np
@@ -11,6 +12,7 @@ import xarray as xr
 from matplotlib.figure import Figure
 
 import sunspin as ss
+from sunspin.dynamics.curve import with_curve
 from sunspin.output.kind import KINDS
 from sunspin.output.kinds import MODULES
 from sunspin.output.text import rate_text
@@ -22,7 +24,12 @@ OMEGA, SUN, SPEED = [0.1, 0.0, 0.2], [0.0, 0.6, 0.8], VEHICLE.wheels[0].speed_ra
 
 
 def motion():
-    return ss.propagate(VEHICLE, OMEGA, SUN, SPEED, np.linspace(0.0, 60.0, 61))
+    """A motion with output times so far apart that a curve between them is stored."""
+
+    def at(t_s):
+        return ss.propagate(VEHICLE, OMEGA, SUN, SPEED, t_s)
+
+    return with_curve(at(np.linspace(0.0, 60.0, 4)), VEHICLE.inertia_kg_m2, at)
 
 
 def scan():
@@ -30,6 +37,7 @@ def scan():
     return ss.scan(VEHICLE, [0.1, 0.3, 0.6], SUN, *grid, SPEED, 300.0)
 
 
+@cache
 def rates():
     t = np.arange(0.0, 300.0, 30.0)
     turn = np.radians(0.6) * t

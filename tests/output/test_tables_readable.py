@@ -32,6 +32,9 @@ def test_texts_in_a_table_hold_no_separator(tmp_path):
     assert cells["value"].tolist() == [1.5, -2.0, 3.25]
     assert cells["sure"].tolist() == frame["sure"].tolist()
     assert names == frame["name"].tolist()  # the table itself is as it was
+    # sentences keep their commas, in quotation marks
+    prose = Table("t", pd.DataFrame({"sentence": ["first, second"]}), prose=True)
+    assert table_text(prose, False) == 'sentence\n"first, second"\n'
 
 
 def test_times_far_from_their_epoch_keep_their_digits(tmp_path):
@@ -43,11 +46,6 @@ def test_times_far_from_their_epoch_keep_their_digits(tmp_path):
     np.testing.assert_array_equal(cells["time_s"], time)
     np.testing.assert_array_equal(read["time_s"], time)
     np.testing.assert_allclose(read["speed_rad_s"], frame["speed_rad_s"], rtol=1e-8)
-
-
-def test_sentences_in_a_table_keep_their_commas_in_quotation_marks():
-    frame = pd.DataFrame({"sentence": ["first, second"]})
-    assert table_text(Table("t", frame, prose=True), False) == 'sentence\n"first, second"\n'
 
 
 def test_the_tables_of_sun_are_read_by_numpy_and_pandas(tmp_path, undrawn):

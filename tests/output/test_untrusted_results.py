@@ -48,13 +48,9 @@ def test_an_unchanged_results_folder_is_shown_whole(folder):
     assert {*json.loads((folder / MANIFEST).read_text())["sha256"]} == files
 
 
-@pytest.mark.parametrize("way", ["a byte", "cut", "empty", "another", "link", "folder", "gone"])
-@pytest.mark.parametrize("name", ["summary.json", "vehicle.toml", "trajectory.nc", "figure"])
-def test_a_changed_file_is_named_and_the_rest_is_shown(name, way, folder):
-    manifest = json.loads((folder / MANIFEST).read_text("utf-8"))
-    name = manifest["figures"][0]["file"] if name == "figure" else name
-    path, content = folder / name, (folder / name).read_bytes()
-    secret = folder.parent / "secret"
+def change(path, way) -> None:
+    """Change a file in this way; if it becomes a link, then one to a file with the secret."""
+    content, secret = path.read_bytes(), path.parents[1] / "secret"
     secret.write_text(SECRET)
     path.unlink()
     if way == "link":
@@ -66,13 +62,23 @@ def test_a_changed_file_is_named_and_the_rest_is_shown(name, way, folder):
         changed = {"cut": content[:half], "empty": b"", "another": SECRET.encode()}
         changed["a byte"] = content[:half] + bytes([content[half] ^ 1]) + content[half + 1 :]
         path.write_bytes(changed[way])
+
+
+@pytest.mark.parametrize("way", ["a byte", "cut", "empty", "another", "link", "folder", "gone"])
+def test_a_changed_file_is_named_and_the_rest_is_shown(way, folder):
+    manifest = json.loads((folder / MANIFEST).read_text("utf-8"))
+    figure, kept = manifest["figures"][0]["file"], read_results(folder)
+    names = ["summary.json", "vehicle.toml", "trajectory.nc", figure]
+    for name in names:
+        change(folder / name, way)
     results, text = read_results(folder), page_of(folder)
-    assert len(results.problems) == 1 and results.problems[0].startswith(f"{name} could not")
-    assert f"{name} could not be read or shown" in text
+    assert {problem.split(" could not")[0] for problem in results.problems} == set(names)
+    assert len(results.problems) == 4 and len(results.figures) == len(kept.figures) - 1
+    for name in names:
+        assert f"{name} could not be read or shown" in text
     assert SECRET not in text and base64.b64encode(SECRET.encode()).decode()[:40] not in text
-    if name == "trajectory.nc":
-        with pytest.raises(InputError, match="changed or damaged|not a regular file"):
-            exported(folder)
+    with pytest.raises(InputError, match="changed or damaged|not a regular file"):
+        exported(folder)
 
 
 def test_a_folder_whose_marker_is_a_link_is_no_results_folder(folder):
@@ -128,12 +134,11 @@ def test_data_larger_than_the_limit_are_named_and_not_read(folder, monkeypatch):
     assert "trajectory.nc could not" in read_results(folder).problems[0]
 
 
-@pytest.mark.parametrize("text", HOSTILE)
-def test_hostile_text_of_a_variable_is_escaped_on_the_page(text, written, tmp_path):
+def test_hostile_text_of_a_variable_is_escaped_on_the_page(written, tmp_path, framed):
     run, _ = exported(written)
-    about = {"units": "rad s-1", "long_name": text}
-    run = run.assign(omega_B=run["omega_B"].assign_attrs(about)).assign_attrs(title=text)
-    folder = run.sunspin.save(tmp_path / "results")
+    for name, text in zip(("omega_B", "sun_B", "momentum_B", "B_from_N"), HOSTILE, strict=True):
+        run[name] = run[name].assign_attrs(units="rad s-1", long_name=text)
+    folder = run.assign_attrs(title=" ".join(HOSTILE)).sunspin.save(tmp_path / "results")
     page = page_of(folder)
     assert read_results(folder).problems == []
     assert "<script>alert" not in page and "\u202e" not in page

@@ -141,9 +141,7 @@ def test_readings_without_sunlight_give_no_conclusion(found):
         assert any("lit pattern" in reason for reason in one.check.reasons)
 
 
-@pytest.mark.parametrize(
-    ("first", "second"), [("1", "5"), ("2", "3"), ("3", "6"), ("2", "4"), ("4", "5")]
-)
+@pytest.mark.parametrize(("first", "second"), [("1", "5"), ("2", "4"), ("3", "6")])
 def test_an_exchange_of_any_two_panels_is_detected(first, second):
     case = rb.with_telemetry(CASE, controls.exchange_panels(CASE, first, second))
     sun = ss.sun_directions(case.vehicle, case.telemetry)
@@ -195,10 +193,3 @@ def test_candidates_are_read_from_a_table(tmp_path, quick):
 def test_without_a_calibration_there_is_no_conclusion(quick):
     one = run_chain(None, coarser=20, simulations=0)
     assert one.chain is None and "not calibrated for these data" in one.why
-
-
-def test_the_study_refuses_a_vehicle_without_a_wheel():
-    from sunspin.philae.study import require_wheel
-
-    with pytest.raises(InputError, match="one wheel and legs"):
-        require_wheel(replace(CASE.vehicle, wheels=()))

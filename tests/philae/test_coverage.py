@@ -47,22 +47,20 @@ def test_distances_agree_with_the_reference_trajectory_and_scipy(table):
 
 
 def test_rates_at_the_end_of_the_rebound_agree_with_the_reference():
+    """A wheel is followed to its stop, and not back from it."""
     starts = np.array([[0.1, -0.3, 0.2], [0.0, 0.0, 0.0], [-0.4, 0.6, -0.2]])
-    back = rb.rates_at_touchdown(CASE, starts, 865.0)
+    back, sun = rb.rates_at_touchdown(CASE, starts, 865.0), rb.first_sun(CASE)
     for omega, found in zip(starts, back, strict=True):
         times = [0.0, -rb.first_sample_lead_s(CASE)]
-        run = propagate(CASE.vehicle, omega, rb.first_sun(CASE), 865.0, times)
+        run = propagate(CASE.vehicle, omega, sun, 865.0, times)
         np.testing.assert_allclose(found, run["omega_B"].values[-1], atol=1e-9)
-
-
-def test_rates_at_the_end_follow_a_wheel_to_its_stop_and_not_back_from_it():
-    omega, sun = np.array([[0.1, 0.0, 0.0]]), rb.first_sun(CASE)
-    run = propagate(CASE.vehicle, omega[0], sun, 865.0, [0.0, 3000.0])
+    run = propagate(CASE.vehicle, [0.1, 0.0, 0.0], sun, 865.0, [0.0, 3000.0])
     assert run["wheel_speed_rad_s"].values[-1] == 0
-    found = rb.end_rates(CASE.vehicle, Rows(omega, sun[None], np.array([[865.0]])), 3000.0)
-    np.testing.assert_allclose(found, run["omega_B"].values[-1:], atol=1e-8)
+    start = Rows(np.array([[0.1, 0.0, 0.0]]), sun[None], np.array([[865.0]]))
+    end = rb.end_rates(CASE.vehicle, start, 3000.0)
+    np.testing.assert_allclose(end, run["omega_B"].values[-1:], atol=1e-8)
     with pytest.raises(MotionError, match="its past is not determined"):
-        rb.end_rates(CASE.vehicle, Rows(found, sun[None], np.array([[0.0]])), -60.0)
+        rb.end_rates(CASE.vehicle, Rows(end, sun[None], np.array([[0.0]])), -60.0)
 
 
 def test_dense_samples_without_noise_fit_their_own_motion_and_no_other():
@@ -72,11 +70,6 @@ def test_dense_samples_without_noise_fit_their_own_motion_and_no_other():
     window = rb.published_window_s(CASE)
     own, wrong = threshold.emd_of_truths(CASE, states, window, [target, target])
     assert own < 1e-3 and wrong > 0.02
-
-
-@pytest.fixture(scope="module")
-def grid():
-    return study.make_grid(CASE, COARSE)
 
 
 def test_too_few_simulated_rebounds_are_refused():

@@ -55,7 +55,8 @@ def test_a_wheel_off_delay_of_zero_equals_off_at_touchdown_and_a_long_one_equals
     assert not np.array_equal(speed["held"], speed["delay:3000"])
 
 
-def test_the_best_wheel_off_delay_has_the_largest_probability(strategies):
+def test_the_best_wheel_off_delay_has_the_largest_probability(strategies, monkeypatch):
+    """A quantity that no run knows at all delays has no best one."""
     search = strategies.delay
     at = int(np.argmax(search["value"].sel(quantity="touch_leg").values))
     assert search.attrs["best_s"] == search["delay_s"][at] and bool(search["as_good"][at])
@@ -63,9 +64,6 @@ def test_the_best_wheel_off_delay_has_the_largest_probability(strategies):
     assert search.attrs["spread_s"][0] <= search.attrs["spread_s"][1]
     with pytest.raises(ss.InputError, match="do not tell the quantity"):
         st.best_delay(ss.load_vehicle("philae"), [[0.1, 0, 0]], [0.0], "happiness", 4)
-
-
-def test_a_quantity_that_no_run_knows_at_all_delays_has_no_best_one(monkeypatch):
     per_run, at = st.per_run, {"delay:0": np.array([1, np.nan]), "delay:600": np.array([np.nan, 1])}
     monkeypatch.setattr(
         st, "per_run", lambda runs: per_run(runs) | {"touch_leg": at[runs.strategy]}

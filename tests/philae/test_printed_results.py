@@ -5,6 +5,7 @@ import json
 import numpy as np
 import pandas as pd
 import pytest
+from matplotlib.figure import Figure
 
 from studies import printed_results as study
 from sunspin.cases import load_case
@@ -102,8 +103,11 @@ def test_weighted_quantiles_agree_with_those_of_repeated_values():
         assert study.weighted_quantile(x, times.astype(float), level) == expected
 
 
-def test_the_study_resumes_with_the_same_draws_and_takes_more(tmp_path, capsys, monkeypatch):
+def test_the_study_resumes_with_the_same_draws_and_takes_more(tmp_path, capsys, monkeypatch, scan):
     monkeypatch.setattr(study, "BLOCK", 4)
+    monkeypatch.setattr(study, "make_scan", lambda *_: scan)
+    figure = study.printed_figure
+    monkeypatch.setattr(study, "printed_figure", lambda *_: Figure())
     arguments = [str(tmp_path), f"--coarser={COARSE}", "--workers=1"]
     assert study.main([*arguments, "--draws=8"]) == 0
     assert "Simulated: 8 draws" in capsys.readouterr().out
@@ -116,6 +120,7 @@ def test_the_study_resumes_with_the_same_draws_and_takes_more(tmp_path, capsys, 
     assert study.main([*arguments, "--draws=8"]) == 0
     assert before == {name: (tmp_path / name).read_bytes() for name in names}
     assert kept == {path: path.read_bytes() for path in files}
+    monkeypatch.setattr(study, "printed_figure", figure)
     assert study.main([*arguments, "--draws=10"]) == 0
     assert kept.items() <= {p: p.read_bytes() for p in tmp_path.glob("draws-*/*.json")}.items()
     table = pd.read_csv(tmp_path / "printed_results.csv")

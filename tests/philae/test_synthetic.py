@@ -65,23 +65,19 @@ def test_the_built_in_telemetry_follows_from_its_seed_and_draw():
 def test_synthesise_writes_the_built_in_telemetry_and_overwrites_nothing_unasked(
     synthesise, tmp_path, capsys
 ):
-    out = tmp_path / "telemetry.csv"
+    """A draw that was not selected does not say so."""
+    out, other = tmp_path / "telemetry.csv", truth["draw"] - 1
     assert synthesise(truth["draw"], out) == (0, [(truth["seed"], truth["draw"])])
-    again = ss.read_telemetry(out, vehicle)
-    np.testing.assert_allclose(
-        again["power_W"].values, committed["power_W"].values, rtol=0, atol=1.01e-6
-    )
+    power = ss.read_telemetry(out, vehicle)["power_W"].values
+    np.testing.assert_allclose(power, committed["power_W"].values, rtol=0, atol=1.01e-6)
     written = out.read_bytes()
     assert f"draw {truth['draw']} of first rebounds, selected because" in written.decode()
     assert synthesise(truth["draw"], out) == (2, [])
     assert "the file exists" in capsys.readouterr().err
     assert out.read_bytes() == written
-
-
-def test_a_draw_that_was_not_selected_does_not_say_so(synthesise, tmp_path):
-    out, other = tmp_path / "telemetry.csv", truth["draw"] - 1
-    assert synthesise(other, out) == (0, [(truth["seed"], other)])
-    text = out.read_text("utf-8")
+    (tmp_path / "other").mkdir()
+    assert synthesise(other, tmp_path / "other" / "a.csv") == (0, [(truth["seed"], other)])
+    text = (tmp_path / "other" / "a.csv").read_text("utf-8")
     assert f"draw {other} of first rebounds, not compared with what the paper prints" in text
     assert "selected because" not in text
 
@@ -212,22 +208,19 @@ def test_simulated_telemetry_of_any_vehicle_stores_its_truth_and_gives_it_back()
 
 
 @pytest.mark.parametrize(
-    ("change", "text"),
+    ("of", "truth", "options", "text"),
     [
-        ({"rate": 1}, "unknown rate"),
-        ({"noise": -1.0}, "zero or positive"),
-        ({"scale": 0.0}, "scale of a twin must be positive"),
+        (case, KNOWN | {"rate": 1}, {}, "unknown rate"),
+        (case, KNOWN | {"noise": -1.0}, {}, "zero or positive"),
+        (case, KNOWN | {"scale": 0.0}, {}, "scale of a twin must be positive"),
+        (case, {"omega_B": [0, 0, 0], "t_s": [0.0]}, {}, "no sun_B"),
+        ("philae", None, {"seed": -1}, "seed must be a whole number"),
+        (vehicle, None, {}, "needs a truth"),
     ],
 )
-def test_a_truth_without_valid_rates_and_sun_is_refused(change, text):
+def test_a_truth_without_valid_rates_and_sun_is_refused(of, truth, options, text):
     with pytest.raises(ss.InputError, match=text):
-        ss.twin(case, KNOWN | change)
-    with pytest.raises(ss.InputError, match="no sun_B"):
-        ss.twin(case, {"omega_B": [0, 0, 0], "t_s": [0.0]})
-    with pytest.raises(ss.InputError, match="seed must be a whole number"):
-        ss.twin("philae", seed=-1)
-    with pytest.raises(ss.InputError, match="needs a truth"):
-        ss.twin(vehicle)
+        ss.twin(of, truth, **options)
 
 
 def test_an_existing_file_is_refused_before_the_search(tmp_path, monkeypatch, capsys):

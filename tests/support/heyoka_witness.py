@@ -22,14 +22,10 @@ TAKE_OFF_RAD = 1e-3
 
 @dataclass(frozen=True)
 class Torques:
-    """What acts on the body: constant in body axes, and in space (N m); gravity gradient on a circular orbit about `normal`, with
-    the nadir at the start, all in N; `rate` in rad/s."""
+    """What acts on the body: constant in body axes, and in space (N m)."""
 
     body: np.ndarray = field(default_factory=lambda: np.zeros(3))
     space: np.ndarray = field(default_factory=lambda: np.zeros(3))
-    rate: float = 0.0
-    nadir: np.ndarray = field(default_factory=lambda: np.array([1.0, 0.0, 0.0]))
-    normal: np.ndarray = field(default_factory=lambda: np.array([0.0, 0.0, 1.0]))
 
 
 @dataclass
@@ -74,13 +70,13 @@ def matrix(values):
 class Equations:
     """Right-hand side over heyoka's expressions or over numbers.
 
-    `par`: A^-1 (9), K (3), I (9), torques (6), rate, nadir, normal (7), then for each wheel axis (3), J, free, signed dry friction,
-    viscous friction, stop watch, 1 / limit^2, direction of time.
+    `par`: A^-1 (9), K (3), torques (6), then for each wheel axis (3), J, free, signed dry friction, viscous friction, stop watch,
+    1 / limit^2, direction of time.
     """
 
-    COMMON, PER_WHEEL = 34, 10
+    COMMON, PER_WHEEL = 18, 10
 
-    def __init__(self, state, par, t, n_wheels, sine, cosine):
+    def __init__(self, state, par, n_wheels):
         self.H, self.h, self.q = state[:3], state[3 : 3 + n_wheels], state[-4:]
         self.wheels = [
             par[self.COMMON + self.PER_WHEEL * i :][: self.PER_WHEEL] for i in range(n_wheels)
@@ -96,15 +92,9 @@ class Equations:
         self.friction = [
             -w[4] * (w[5] + w[6] * speed) for w, speed in zip(self.wheels, self.speeds, strict=True)
         ]
-        nadir, normal = par[28:31], par[31:34]
-        aside, angle = cross(normal, nadir), par[27] * t
-        seen = self.seen([cosine(angle) * nadir[k] + sine(angle) * aside[k] for k in range(3)])
-        pull = cross(seen, times(matrix(par[12:21]), seen))
-        space = self.seen(par[24:27])
+        space = self.seen(par[15:18])
         turned = cross(self.H, self.omega)
-        self.moment = [
-            turned[k] + par[21 + k] + space[k] + 3.0 * par[27] * par[27] * pull[k] for k in range(3)
-        ]
+        self.moment = [turned[k] + par[12 + k] + space[k] for k in range(3)]
         body = self.moment
         for friction, w in zip(self.friction, self.wheels, strict=True):
             body = [body[k] - friction * w[k] for k in range(3)]
@@ -135,7 +125,7 @@ def integrator(n_wheels: int, tolerance: float):
     names = ["Hx", "Hy", "Hz", *(f"h{i}" for i in range(n_wheels)), "qx", "qy", "qz", "qw"]
     variables = hk.make_vars(*names)
     count = Equations.COMMON + Equations.PER_WHEEL * n_wheels
-    e = Equations(variables, [hk.par[k] for k in range(count)], hk.time, n_wheels, hk.sin, hk.cos)
+    e = Equations(variables, [hk.par[k] for k in range(count)], n_wheels)
     events = []
     for w, speed, holding in zip(e.wheels, e.speeds, e.holding, strict=True):
         # the constant keeps a wheel that is not watched from zero
@@ -181,9 +171,7 @@ class Run:
                 tensor -= J * np.outer(u, u)
             else:
                 held += J * w.speed * u
-        t = self.torques
-        values = [np.linalg.inv(tensor).ravel(), held, self.inertia.ravel(), t.body, t.space]
-        values += [[t.rate], t.nadir, t.normal]
+        values = [np.linalg.inv(tensor).ravel(), held, self.torques.body, self.torques.space]
         for w, u, J, wheel in zip(self.wheels, self.axes, self.J, self.vehicle.wheels, strict=True):
             free, sense = float(w.mode == "free"), -1.0 if self.backward else 1.0
             watched = w.mode == "free" and w.limit > 0 and w.watch_from is None
@@ -194,7 +182,7 @@ class Run:
         return np.concatenate(values)
 
     def equations(self, y: np.ndarray) -> Equations:
-        return Equations(list(y), list(self.parameters()), self.t, len(self.wheels), np.sin, np.cos)
+        return Equations(list(y), list(self.parameters()), len(self.wheels))
 
     def settle(self) -> None:
         """Release the stuck wheels that friction cannot hold, the most overloaded first."""

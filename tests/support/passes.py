@@ -70,6 +70,12 @@ def printed_rates(result: xr.Dataset, k: int = 0) -> tuple[np.ndarray, np.ndarra
     return omega, sigma
 
 
+def errors_in_sigmas(result: xr.Dataset, omega_B: np.ndarray) -> np.ndarray:
+    """Return the errors (n, 3) of the best solution's rates, against true ones (n, 3) at its samples, in their own sigmas."""
+    sigma = np.sqrt(np.diagonal(result["omega_cov_B"].values, axis1=1, axis2=2))
+    return (result["omega_B"].values - omega_B) / sigma
+
+
 def slope_of(function: Callable[[Any], Any], step: np.ndarray, size: float) -> Any:
     """Return the derivative of a function of a change, along a step of this size, by the difference of both sides."""
     return (function(step) - function(-step)) / (2 * size)

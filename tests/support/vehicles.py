@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from sunspin.vehicle import Friction, Panel, TelemetryForm, Vehicle, Wheel
+from sunspin.vehicle import Friction, HullPart, Leg, Panel, TelemetryForm, Vehicle, Wheel
 
 FIRST_SUN = np.array([0.1959, 0.5690, 0.7986])  # paper, section 2.3
 
@@ -46,6 +46,15 @@ def small_cube(noise: float = 0.02) -> Vehicle:
     panels = [Panel(name, normal, 1.0) for name, normal in LOWER_CASE_FACES.items()]
     form = TelemetryForm(quantity="current_A", noise=noise)
     return Vehicle("cube", np.diag([0.010, 0.012, 0.008]), panels=panels, telemetry=form)
+
+
+def small_lander(*wheels: Wheel) -> Vehicle:
+    """Return a box of 4 kg on three feet, with panels that look along x and z, and these wheels."""
+    corners = [[x, y, z] for x in (-0.1, 0.1) for y in (-0.1, 0.1) for z in (-0.1, 0.2)]
+    feet = [Leg("a", [0.3, 0, -0.2]), Leg("b", [-0.15, 0.26, -0.2]), Leg("c", [-0.15, -0.26, -0.2])]
+    panels = [Panel("x", [1, 0, 0], 1.0), Panel("z", [0, 0, 1], 1.0)]
+    inertia, hull = np.diag([0.042, 0.041, 0.03]), [HullPart("box", corners)]
+    return Vehicle("box", inertia, 4.0, panels, list(wheels), feet, hull)
 
 
 def philae_body(friction: Friction | None = None) -> Vehicle:

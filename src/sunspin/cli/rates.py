@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 from functools import partial
-from typing import TYPE_CHECKING
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -15,7 +16,14 @@ from sunspin.cli.values import Parsed, parse_effort, parse_period, select_interv
 from sunspin.vehicle.sensors import VARIABLES
 
 if TYPE_CHECKING:
+    import xarray as xr
+
+    from sunspin.estimate.periods import PeriodSeen
+    from sunspin.output.check.orbit import ChosenOrbit
+    from sunspin.telemetry.assess import Assessment
     from sunspin.telemetry.periodicity import Stretch
+    from sunspin.telemetry.withheld import Withheld
+    from sunspin.vehicle import Vehicle
 
 SENSOR_VARIABLES = VARIABLES | {"wheels": "wheel_speed_rad_s"}
 """Sensors that `--without` may name -> the variable of the telemetry that it removes."""
@@ -119,25 +127,15 @@ def rates(
         output.announce(f"reading {telemetry.name}")
     output.draw_in_background("rates", workers)
     from sunspin.compute.pool import worker_count
+    from sunspin.estimate.columns import undecided
     from sunspin.estimate.orbit.judged import orbit_sources
     from sunspin.estimate.rates import rates as estimate_rates
     from sunspin.estimate.short_windows import passes_for_windows, rates_in_windows
     from sunspin.output.check.orbit import ChosenOrbit, choose_orbit
     from sunspin.telemetry.assess import assess
-    from sunspin.telemetry.column_periods import describe_periods, read_column_periods
-    from sunspin.telemetry.withheld import parse_withheld, read_withheld
 
     craft, samples = read_inputs(vehicle, telemetry)
-    withheld = [parse_withheld(text, craft, without) for text in compared]
-    if len({sensor.variable for sensor in withheld}) < len(withheld):
-        what, do = "--compare is given twice for rates or for an attitude", "give it once for each"
-        raise InputError(what, got=" ".join(compared), do=do)
-    readings = [
-        samples[sensor.variable]
-        if text in VARIABLES and sensor.variable in samples
-        else read_withheld(sensor, craft, telemetry)
-        for text, sensor in zip(compared, withheld, strict=True)
-    ]
+    withheld = _read_withheld(compared, without, craft, samples, telemetry)
     # neither the orbit nor the rates may depend on a sensor with which they are compared
     declared = [VARIABLES[name] for name in compared if name in VARIABLES]
     samples_used = samples.drop_vars(declared, errors="ignore")
@@ -150,20 +148,8 @@ def rates(
         used = whole_file
     else:
         used = assess(craft, select_interval(samples_used, begin, end).drop_vars(left_out))
-    epoch = samples.attrs.get("epoch_utc")
-    # a period in numbers has a time; anything else is a column
-    observed_periods = [
-        parse_period(text, epoch) for text in periods if "@" in text or "+-" in text
-    ]
-    columns = [text for text in periods if not ("@" in text or "+-" in text)]
     limit = None if max_rate is None else math.radians(max_rate)
-    of_columns: dict[str, list[Stretch]] = {}
-    if columns:
-        time = used.telemetry["time"].values
-        kept = float(time.min()), float(time.max())  # rows that came late need not be in order
-        of_columns = read_column_periods(telemetry, craft, columns, limit, kept)
-    stretches = [one for each in of_columns.values() for one in each]
-    observed_periods += [one.found for one in stretches if one.found is not None]
+    observed_periods, of_columns = _read_periods(periods, telemetry, used, limit)
     output.claim()
     if no_orbit and (elements is not None or shift_sigma is not None):
         what = "--no-orbit contradicts the elements or their shift that are given"
@@ -179,56 +165,107 @@ def rates(
         chosen_orbit = choose_orbit(whole_file, elements, shift_sigma)
         if chosen_orbit.orbit is None and chosen_orbit.summary and in_lines:
             output.announce("the elements do not fit the telemetry; continuing without the orbit")
+    surroundings: dict[str, Any] = {
+        "max_rate_rad_s": limit,
+        "environment": chosen_orbit.orbit,
+        "calibration": chosen_orbit.calibration,
+        "workers": worker_count(workers),
+    }
     result = estimate_rates(
         craft,
         used,
-        max_rate_rad_s=limit,
         column_tests=not no_column_tests,
-        environment=chosen_orbit.orbit,
-        calibration=chosen_orbit.calibration,
         periods=observed_periods,
-        workers=worker_count(workers),
-        **settings,
         progress=progress,
+        **surroundings,
+        **settings,
     )
     if not no_windows and len(passes_for_windows(result)):
         output.announce("no motion fits all passes; the rate is estimated in short windows")
         also_given = {key: settings[key] for key in ("source", "acceleration_noise", "effort")}
-        result = rates_in_windows(
-            craft,
-            used.telemetry,
-            result,
-            max_rate_rad_s=limit,
-            environment=chosen_orbit.orbit,
-            calibration=chosen_orbit.calibration,
-            workers=worker_count(workers),
-            **also_given,
-        )
+        result = rates_in_windows(craft, used.telemetry, result, **surroundings, **also_given)
     if chosen_orbit.field_and_sun_disagree:
-        from sunspin.estimate.columns import undecided
-
         result = undecided(result, "field and Sun disagree")
     # imported late, because the imports take a third of a second, most of it that of the orbit at the samples
-    from sunspin.output.check.repeats import describe_repeats
-    from sunspin.output.check.samples import describe_mismatches, unknown_gain_lines
     from sunspin.output.compared import compare_with
-    from sunspin.output.text import clock_text
 
     if chosen_orbit.orbit is not None:
         from sunspin.output.pointing import with_track
 
         result = with_track(result, chosen_orbit.orbit)
-    for sensor, values in zip(withheld, readings, strict=True):
+    for sensor, values in withheld:
         result = compare_with(result, sensor, values)
+    lines, also = _describe_inputs(used, vehicle, chosen_orbit, of_columns, result.attrs["source"])
+    output.deliver(result, vehicle, samples, also=also, lines=lines)
+
+
+def _read_withheld(
+    compared: tuple[str, ...],
+    without: tuple[str, ...],
+    craft: Vehicle,
+    samples: xr.Dataset,
+    telemetry: Path,
+) -> list[tuple[Withheld, xr.DataArray]]:
+    """Return the sensors that `--compare` names, each with its readings; at most one of rates and one of attitudes."""
+    from sunspin.telemetry.withheld import parse_withheld, read_withheld
+
+    withheld = [parse_withheld(text, craft, without) for text in compared]
+    if len({sensor.variable for sensor in withheld}) < len(withheld):
+        what, do = "--compare is given twice for rates or for an attitude", "give it once for each"
+        raise InputError(what, got=" ".join(compared), do=do)
+    return [
+        (
+            sensor,
+            samples[sensor.variable]
+            if text in VARIABLES and sensor.variable in samples
+            else read_withheld(sensor, craft, telemetry),
+        )
+        for text, sensor in zip(compared, withheld, strict=True)
+    ]
+
+
+def _read_periods(
+    texts: tuple[str, ...], telemetry: Path, used: Assessment, max_rate_rad_s: float | None
+) -> tuple[list[PeriodSeen], dict[str, list[Stretch]]]:
+    """Return all periods that `--period` gives, and what each stretch of each column that it names shows.
+
+    A period in numbers has a time or an error ("48.3+-1@102"); any other text names a column.
+    """
+    from sunspin.telemetry.column_periods import read_column_periods
+
+    epoch = used.telemetry.attrs.get("epoch_utc")
+    in_numbers = [text for text in texts if "@" in text or "+-" in text]
+    observed = [parse_period(text, epoch) for text in in_numbers]
+    of_columns: dict[str, list[Stretch]] = {}
+    if columns := [text for text in texts if text not in in_numbers]:
+        time = used.telemetry["time"].values
+        kept = float(time.min()), float(time.max())  # rows that came late need not be in order
+        of_columns = read_column_periods(telemetry, used.vehicle, columns, max_rate_rad_s, kept)
+    stretches = [one for each in of_columns.values() for one in each]
+    return observed + [one.found for one in stretches if one.found is not None], of_columns
+
+
+def _describe_inputs(
+    used: Assessment,
+    vehicle: str,
+    chosen_orbit: ChosenOrbit,
+    of_columns: dict[str, list[Stretch]],
+    source: str,
+) -> tuple[list[str], dict[str, Any]]:
+    """Return what is printed of the telemetry, the orbit and the periods, and the same as entries of the summary.
+
+    Of the readings that contradict the vehicle file only wrong units and axes are named, which make the rates wrong. `source`: of
+    the directions to the Sun.
+    """
+    from sunspin.output.check.repeats import describe_repeats
+    from sunspin.output.check.samples import describe_mismatches, unknown_gain_lines
+    from sunspin.output.text import clock_text
+    from sunspin.telemetry.column_periods import describe_periods
 
     mismatches, repeats = describe_mismatches(used, vehicle), describe_repeats(used)
     keys = [key for key in ("wrong_units", "wrong_axes") if mismatches.summary[key]]
     also = {key: mismatches.summary[key] for key in keys} | repeats.summary | chosen_orbit.summary
-    # of the mismatches only wrong units and axes, which make the rates wrong
     wrong = [line for line in mismatches.lines if "WRONG" in line]
-    seen = describe_periods(of_columns, partial(clock_text, samples))
-    gains = (
-        unknown_gain_lines(used) if used.has_panels and result.attrs["source"] == "panels" else []
-    )
-    lines = [*wrong, *gains, *repeats.lines, *chosen_orbit.lines, *seen]
-    output.deliver(result, vehicle, samples, also=also, lines=lines)
+    gains = unknown_gain_lines(used) if used.has_panels and source == "panels" else []
+    seen = describe_periods(of_columns, partial(clock_text, used.telemetry))
+    return [*wrong, *gains, *repeats.lines, *chosen_orbit.lines, *seen], also

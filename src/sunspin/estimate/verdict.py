@@ -373,7 +373,8 @@ def rates_words(result: xr.Dataset) -> str:
     if count := int((~fits).sum()):
         notes.append(
             f"{count_of_passes(count)}: NO SOLUTION FITS. Possible causes: external torque, changing wheel speed, wrong "
-            "inertia, light of the Earth on the panels (a `noise` of 3 % of full Sun under [telemetry] allows for it), faulty data"
+            "inertia, shaded panels, a drifting zero, faulty data. Or light of the Earth on the panels: a `noise` of 3 % of full "
+            "Sun under [telemetry] allows for it"
         )
     notes += [attrs[name] for name in ("columns_doubt", "columns_rivals") if name in attrs]
     if count := int((fits & unique & ~constrained).sum()):

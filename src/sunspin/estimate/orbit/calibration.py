@@ -76,6 +76,10 @@ SUN_TURNED_RAD = 0.01
 Earth's light were 3 deg off at a sigma of 0.4, and its passes decided 5 sigma off; with this they are 3.5 off at most. With 0.02 a
 satellite in orbit was decided wrongly by its magnetometer alone."""
 
+SUN_TURNED_BY_EARTH = 0.15
+"""The same error, if it is larger, in rad per full Sun of light that the Earth gives a panel which looks at it. At 0.27 full Sun
+the axes of a spinner were 3 deg off, and a pass was decided 5 sigma off. With this it is 1.5 off; the sigma grows by a fifth."""
+
 MAGNETOMETER = slice(0, 13)
 """Unknowns of the magnetometer in an orbit: matrix, zero, and along-track offset."""
 
@@ -228,22 +232,24 @@ class Calibration:
         """Scales (F, 3) of x, y and wrapped y of each Sun sensor, relative to the stated ones."""
         return 1 + self.values[FIRST_SENSOR:].reshape(self.sensors, PER_SENSOR)[:, 2:]
 
-    def covariance_of_sun_errors(self) -> np.ndarray:
-        """Return the covariance (9, 9) of M, by rows, from errors that all Sun directions by panels have in common.
+    def covariance_of_sun_errors(self, turned_rad: float) -> np.ndarray:
+        """Return the covariance (9, 9) of M, by rows, if all directions to the Sun have an error `turned_rad` in common.
 
-        Light of the Earth, and sides without a panel, rotate the Sun directions of a whole file by the same angle, and so the axes
-        of a magnetometer that is calibrated by them. Neither the residuals nor the jackknife show it.
+        It is one sigma, in rad, of a rotation about each axis. The axes of a magnetometer that is calibrated by such directions
+        rotate with them. Neither the residuals nor the jackknife show it.
         """
         matrix = np.eye(3) + self.values[MATRIX].reshape(3, 3)
         # change of 1 + M by a small rotation about each axis
         rotated = np.array([matrix @ cross_matrix(axis) for axis in np.eye(3)]).reshape(3, 9)
-        return SUN_TURNED_RAD**2 * rotated.T @ rotated
+        return turned_rad**2 * rotated.T @ rotated
 
-    def magnetometer(self, shift_s: float, sigma_s: float) -> FieldCalibration:
+    def magnetometer(
+        self, shift_s: float, sigma_s: float, turned_rad: float = 0.0
+    ) -> FieldCalibration:
         """Return the calibration of the magnetometer if the along-track offset is `shift_s` with the sigma `sigma_s`, both in s.
 
         The other unknowns follow the offset by their regression on it. Their errors are propagated from the equation of the fit,
-        reading = (1 + M) field + zero, to field = matrix reading - zero.
+        reading = (1 + M) field + zero, to field = matrix reading - zero. `turned_rad`: as of :meth:`covariance_of_sun_errors`.
         """
         covariance = self.covariance[MAGNETOMETER, MAGNETOMETER]
         by_shift = covariance[:, SHIFT] / covariance[SHIFT, SHIFT]  # slopes of the regression
@@ -252,8 +258,7 @@ class Calibration:
         moved = replace(self, values=values)
         added_variance = sigma_s**2 - covariance[SHIFT, SHIFT]
         covariance = covariance + added_variance * np.outer(by_shift, by_shift)
-        if not self.sensors:  # the Sun is known by panels
-            covariance[MATRIX, MATRIX] += moved.covariance_of_sun_errors()
+        covariance[MATRIX, MATRIX] += moved.covariance_of_sun_errors(turned_rad)
         # Derivatives by M, zero and offset. matrix is the inverse of 1 + M but for its scale, so that its change is
         # -matrix dM matrix / scale_T, by rows a Kronecker product; zero_T is the matrix times the zero.
         matrix, zero_T = moved.matrix_T, moved.matrix_T @ moved.zero
@@ -310,14 +315,24 @@ def calibrate_magnetometer(
     field = calibrated_field(readings.field, first)
     residual_T, _ = median_residuals(field, readings.sun, predicted)
     start = CalibrationStart(first[MATRIX].reshape(3, 3), first[ZERO], residual_T=residual_T)
-    fitted = calibrate_with_sun_sensors(orbit, vehicle, readings, start)
+    fitted, turned_rad = calibrate_with_sun_sensors(orbit, vehicle, readings, start), 0.0
     if fitted is None:
+        turned_rad = 0.0 if vehicle.sensors.sun_sensors else common_sun_error(assessment)
         prior = priors(vehicle, readings, orbit)
         # the sigmas that the file states for its own axes, in the order of the axes of the fit
         prior[ZERO] = np.abs(axes) @ prior[ZERO]
         fitted = fit_sensors(orbit, vehicle, readings.with_stated_sun(), start, prior)
     # at the orbit's own offset, and for readings in the axes of the file
-    return fitted.magnetometer(0.0, orbit.offset_sigma_s).with_axes(axes)
+    return fitted.magnetometer(0.0, orbit.offset_sigma_s, turned_rad).with_axes(axes)
+
+
+def common_sun_error(assessment: Assessment) -> float:
+    """Return one sigma, rad, of the error about each axis that all directions to the Sun from panels have in common.
+
+    Light of the Earth, and sides without a panel, rotate the directions of a whole file by nearly the same angle.
+    """
+    earth = assessment.quality.attrs["earth_light"] if assessment.has_panels else 0.0
+    return max(SUN_TURNED_RAD, SUN_TURNED_BY_EARTH * earth)
 
 
 def calibrate_with_sun_sensors(
