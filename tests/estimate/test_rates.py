@@ -175,6 +175,7 @@ def test_stated_reading_offsets_give_right_rates_that_would_be_wrong_without():
         (np.delete(10.0 * np.arange(20), [3, 4, 9]), 0.0),  # rows are missing
         (np.add.outer(60.0 * np.arange(4), np.arange(5)).ravel(), 0.0),  # bursts, a second apart
         (np.array([0.0, 30.0, 50.0, 75.0]), 0.0),  # whole multiples of 5 s
+        (np.round(np.arange(20) * 15 / 86400, 5) * 86400, 0.864),  # days with five digits
         (np.array([7.0]), 0.0),
     ],
 )
