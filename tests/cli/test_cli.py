@@ -22,12 +22,6 @@ def start(tmp_path) -> Path:
     return tmp_path / "mine"
 
 
-def test_help_does_not_import_the_heavy_libraries():
-    code = "import sys, sunspin.cli; print([m for m in ('numba', 'heyoka', 'xarray', 'scipy', 'matplotlib') if m in sys.modules])"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert done.stdout.strip() == "[]"
-
-
 def test_a_command_ends_without_a_search_for_garbage():
     """What is registered first runs last at the end of Python."""
     code = """import atexit, gc, sys

@@ -45,7 +45,7 @@ NEEDS_EXTRA = {
 COMMANDS = [
     ("init", "."),
     ("sun", *FILES, "--out", "sun"),
-    ("rates", *FILES, "--out", "rates"),
+    ("rates", *FILES, "--effort", "0.1", "--out", "rates"),
     ("check", *FILES),
     *(("export", "rates", "--format", form, "--out", form) for form in EXPORTS),
     *NEEDS_EXTRA,
