@@ -271,7 +271,8 @@ def nearest(tree, truth):
 def test_the_posterior_of_three_channels_lists_the_truth_among_symmetric_solutions(throttled):
     vehicle = craft(THREE, more=MOVES, channel=throttled)
     data, truth = flight(vehicle, 0, samples=12, step_s=6.0)
-    tree = ss.posterior(vehicle, data, {"steady_torque": 0} if throttled else {}, seed=1)
+    priors = {"steady_torque": 0} if throttled else {}
+    tree = ss.posterior(vehicle, data, priors, seed=1, draws=300)
     assert nearest(tree, truth) < 4 and tree.attrs["verdict_word"] != "unique"
     assert "7 symmetric solutions" in tree.attrs["verdict"]
 
@@ -284,8 +285,8 @@ def test_the_posterior_of_three_channels_lists_the_truth_among_symmetric_solutio
 def test_the_posterior_of_power_limited_panels_uses_their_ratios():
     """The truth is found and decided; there is no brightness to be told."""
     vehicle = craft({}, more=MOVES, telemetry="throttled = true")
-    data, truth = flight(vehicle, 1, samples=12, step_s=6.0)
-    tree = ss.posterior(vehicle, data, {"steady_torque": 0}, seed=1)
+    data, truth = flight(vehicle, 1, samples=8, step_s=6.0)
+    tree = ss.posterior(vehicle, data, {"steady_torque": 0}, seed=1, draws=300)
     assert nearest(tree, truth) < 4
     assert tree.attrs["verdict_word"] == "unique"
     assert tree["passes"]["decided"].values[0]

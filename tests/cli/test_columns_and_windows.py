@@ -40,7 +40,18 @@ def run(*options):
 
 
 def test_periods_of_columns_are_printed_and_weigh_solutions(place):
-    done = run("--period", "light", "--period", "noise", "--workers", "1", "--out", "out")
+    done = run(
+        "--period",
+        "light",
+        "--period",
+        "noise",
+        "--workers",
+        "1",
+        "--effort",
+        "0.1",
+        "--out",
+        "out",
+    )
     assert done.exit_code == 0, done.output
     (light,) = [line for line in done.stdout.splitlines() if "column light" in line]
     (noise,) = [line for line in done.stdout.splitlines() if "column noise" in line]
