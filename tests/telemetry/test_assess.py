@@ -49,7 +49,7 @@ def files(tmp_path):
 
 
 @pytest.mark.parametrize("command", [check, sun, rates], ids=lambda command: command.name)
-def test_a_command_asks_each_question_about_a_file_once(command, files, asked, tmp_path):
+def test_a_command_asks_each_question_about_a_file_once(command, files, asked, tmp_path, undrawn):
     out = [] if command is check else ["--out", str(tmp_path / "out")]
     few = ["--to", "120", "--effort", "0.1"] if command is rates else []
     done = CliRunner().invoke(command, [*map(str, files), "--quiet", *out, *few])
