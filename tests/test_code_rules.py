@@ -1,92 +1,55 @@
 """Rules of the code that only its text shows: each generator has a seed, nothing reads pickles, nothing listens."""
 
 import ast
-from functools import cache
 from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
-PYTHON = [
-    path
-    for part in ("src", "tests", "validation", "studies", "bench")
-    for path in sorted((ROOT / part).rglob("*.py"))
-]
+PARTS = ("src", "tests", "validation", "studies", "bench")
+GENERATORS = {"default_rng", "RandomState", "Random"}
+PICKLING = {"pickle", "marshal", "shelve", "dill", "joblib", "cloudpickle"}
+UNPICKLING = {"read_pickle", "to_pickle", "full_load", "unsafe_load"}
+LISTENERS = {"HTTPServer", "bind", "listen", "create_server", "start_server"}
 
 
-@cache
-def text(path: Path) -> str:
-    return path.read_text("utf-8")
+def trees(*parts: str, words: set[str]):
+    """Yield path and syntax tree of each file that has one of these words: others need not be parsed for them."""
+    for part in parts:
+        for path in sorted((ROOT / part).rglob("*.py")):
+            text = path.read_text("utf-8")
+            if any(word in text for word in words):
+                yield path, ast.parse(text)
 
 
-@cache
-def tree(path: Path) -> ast.Module:
-    return ast.parse(text(path))
-
-
-@cache
-def nodes(path: Path) -> tuple[ast.AST, ...]:
-    return tuple(ast.walk(tree(path)))
-
-
-def has(path: Path, *words: str) -> bool:
-    """Return whether the text of a file has one of these words: others need not be parsed for them."""
-    return any(word in text(path) for word in words)
-
-
-def nodes_if(path: Path, *words: str) -> tuple[ast.AST, ...]:
-    """Return all nodes of a file that has one of these words, else none."""
-    return nodes(path) if has(path, *words) else ()
-
-
-def calls(path: Path, *names: str):
-    """Return the calls in a file that has one of these names."""
-    return (node for node in nodes_if(path, *names) if isinstance(node, ast.Call))
+def calls(tree: ast.AST) -> list[ast.Call]:
+    return [node for node in ast.walk(tree) if isinstance(node, ast.Call)]
 
 
 def name_of(call: ast.Call) -> str:
     return getattr(call.func, "attr", getattr(call.func, "id", ""))
 
 
-def test_no_module_draws_random_numbers_when_it_is_imported():
-    """A generator that all share is not allowed either: its draws would depend on who drew before."""
-    drawn = {"default_rng", "RandomState", "SeedSequence", "Random", "seed"}
-    for path in PYTHON:
-        for node in tree(path).body if has(path, *drawn) else ():
-            if isinstance(node, ast.FunctionDef | ast.ClassDef | ast.AsyncFunctionDef):
-                continue
-            every = (call for call in ast.walk(node) if isinstance(call, ast.Call))
-            found = [call for call in every if name_of(call) in drawn]
-            seeded = [call for call in found if not call.args]
-            assert not (found if "src" in path.parts else seeded), f"{path}:{node.lineno}"
-
-
 def test_every_generator_has_a_seed():
-    names = ("default_rng", "RandomState", "Random")
-    for path in PYTHON:
-        for call in calls(path, *names):
-            if name_of(call) in names:
-                assert call.args, f"{path}:{call.lineno}"
+    """No module draws when it is imported: of a generator that all share the draws would depend on who drew before."""
+    drawn = GENERATORS | {"SeedSequence", "seed"}
+    for path, tree in trees(*PARTS, words=drawn):
+        for call in calls(tree):
+            assert call.args or name_of(call) not in GENERATORS, f"{path}:{call.lineno}"
+        for node in tree.body:
+            if not isinstance(node, ast.FunctionDef | ast.ClassDef | ast.AsyncFunctionDef):
+                found = [call for call in calls(node) if name_of(call) in drawn]
+                seeded = [call for call in found if not call.args]
+                assert not (found if "src" in path.parts else seeded), f"{path}:{node.lineno}"
 
 
-def test_the_package_reads_and_writes_no_pickles():
+def test_the_package_reads_and_writes_no_pickles_and_opens_no_listening_socket():
     """No module of the package imports pickle or the like, and NumPy is never allowed to read one."""
-    modules = {"pickle", "marshal", "shelve", "dill", "joblib", "cloudpickle"}
-    functions = ("read_pickle", "to_pickle", "full_load", "unsafe_load")
-    for path in PYTHON:
-        if "src" not in path.parts:
-            continue
-        found = nodes_if(path, *modules, *functions)  # "pickle" is in "allow_pickle", too
-        imports = (node for node in found if isinstance(node, ast.Import))
+    for path, tree in trees("src", words=PICKLING | UNPICKLING | LISTENERS):
+        nodes = list(ast.walk(tree))
+        imports = (node for node in nodes if isinstance(node, ast.Import))
         names = {alias.name.split(".")[0] for node in imports for alias in node.names}
-        others = (node for node in found if isinstance(node, ast.ImportFrom))
+        others = (node for node in nodes if isinstance(node, ast.ImportFrom))
         names |= {(node.module or "").split(".")[0] for node in others}
-        assert not names & modules, path
-        asked = [node for node in found if isinstance(node, ast.Call)]
-        assert "allow_pickle" not in {k.arg for call in asked for k in call.keywords}, path
-        assert not [call for call in asked if name_of(call) in functions], path
-
-
-def test_the_package_opens_no_listening_socket():
-    listeners = {"HTTPServer", "bind", "listen", "create_server", "start_server"}
-    for path in PYTHON:
-        if "src" in path.parts:
-            assert not listeners & {name_of(call) for call in calls(path, *listeners)}, path
+        assert not names & PICKLING, path
+        called = calls(tree)
+        assert "allow_pickle" not in {k.arg for call in called for k in call.keywords}, path
+        assert not (UNPICKLING | LISTENERS) & {name_of(call) for call in called}, path

@@ -71,6 +71,7 @@ def module_of(distribution: str) -> str:
 
 
 def test_every_imported_package_is_declared():
+    """And every declared one is imported."""
     runtime = CORE | set().union(
         *(wanted for extra, wanted in EXTRAS.items() if extra not in ("test", "docs", "bench"))
     )
@@ -80,11 +81,7 @@ def test_every_imported_package_is_declared():
         assert module in imported() and parent in runtime and module in names(needs)
     declared = {module_of(name) for name in runtime} | set(BROUGHT)
     assert not imported() - declared
-
-
-def test_every_declared_package_is_imported():
-    missing = {name for name in CORE if module_of(name) not in imported()} - set(NOT_IMPORTED)
-    assert not missing
+    assert not {name for name in CORE if module_of(name) not in imported()} - set(NOT_IMPORTED)
 
 
 def test_an_error_that_names_an_extra_names_the_packages_that_it_brings():

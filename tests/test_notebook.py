@@ -40,11 +40,9 @@ def test_a_case_shows_its_vehicle_in_a_notebook(name):
         assert all(event.source in shown.text for event in case.timeline.events)
 
 
-def test_an_empty_vehicle_shows_that_nothing_is_given():
-    assert "not given" in Checked(ss.Vehicle("bare")._repr_html_()).text
-
-
 def test_names_from_a_file_are_escaped_in_a_notebook():
+    """An empty vehicle shows that nothing is given."""
+    assert "not given" in Checked(ss.Vehicle("bare")._repr_html_()).text
     evil = "<script>alert(1)</script>"
     panel, wheel = ss.Panel(evil, [1, 0, 0], 1.0), ss.Wheel(evil, [0, 0, 1], 1e-3)
     parts = {"panels": [panel], "wheels": [wheel], "legs": [ss.Leg(evil, [0, 0, 1])]}

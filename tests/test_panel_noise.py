@@ -86,7 +86,7 @@ def test_panel_noise_changes_errors_of_directions_and_not_directions():
 
 
 def test_synthetic_data_have_the_noise_of_each_panel():
-    samples = track(3000)
+    samples = track(1000)
     exact = ss.panel_power(craft(), samples["true_sun_B"].values)
     pull = np.where(exact > 0, (samples["power_W"].values - exact) / NOISE, np.nan)
     assert np.all(np.abs(np.sqrt(np.nanmean(pull**2, axis=0)) - 1) < 0.1)

@@ -1,7 +1,5 @@
 """Plans: the table counts what became of the simulated passes."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 import xarray as xr
@@ -44,7 +42,13 @@ def test_of_a_pass_in_parts_the_one_with_the_most_samples_counts():
     assert row.decided and not row.wrong
 
 
-def test_error_in_a_late_round_keeps_the_complete_ones(monkeypatch):
+@pytest.fixture
+def undecided(monkeypatch):
+    """Let no pass be decided, without an estimate."""
+    monkeypatch.setattr(planning, "rates", lambda *_, **__: answered(np.zeros(3), 1.0, False))
+
+
+def test_error_in_a_late_round_keeps_the_complete_ones(undecided, monkeypatch):
     calls = []
 
     def simulate(*arguments, **options):
@@ -53,27 +57,14 @@ def test_error_in_a_late_round_keeps_the_complete_ones(monkeypatch):
             raise InputError("no pass of this length is half in sunlight")
         return simulate_pass(*arguments, **options)
 
-    monkeypatch.setattr(planning, "rates", lambda *_, **__: answered(np.zeros(3), 1.0, False))
     monkeypatch.setattr(planning, "simulate_pass", simulate)
     result = plan(CUBE, [10.0], samples=3, max_rate_rad_s=0.05, passes=5)
     assert int(result["passes"].sum()) == 5
     assert any("in sunlight" in why for why in result["pass_why"].values)
 
 
-def test_name_with_signs_of_a_formula_does_not_stop_the_figure(monkeypatch, tmp_path):
-    monkeypatch.setattr(planning, "rates", lambda *_, **__: answered(np.zeros(3), 1.0, False))
-    named = replace(CUBE, name="a $^$ b")
-    result = plan(named, [10.0], samples=3, max_rate_rad_s=0.05, passes=1)
-    result.sunspin.save(tmp_path / "out")
-    text = (tmp_path / "out" / "summary.json").read_text("utf-8")
-    assert text.count("ynthetic telemetry.") <= 1
-
-
 @pytest.mark.parametrize(("off", "wrong"), [(0.0, False), (0.02, True)])
 def test_decided_rate_far_from_the_truth_counts_as_wrong(monkeypatch, off, wrong):
-    def rates(vehicle, telemetry, **_):
-        return answered(truth["omega"][1] + [off, 0.0, 0.0], 1e-3)
-
     truth = {}
 
     def simulate(*arguments, **options):
@@ -81,7 +72,8 @@ def test_decided_rate_far_from_the_truth_counts_as_wrong(monkeypatch, off, wrong
         truth["omega"] = simulated.omega_B
         return simulated
 
-    monkeypatch.setattr(planning, "rates", rates)
+    right = lambda *_, **__: answered(truth["omega"][1] + [off, 0.0, 0.0], 1e-3)  # noqa: E731
+    monkeypatch.setattr(planning, "rates", right)
     monkeypatch.setattr(planning, "simulate_pass", simulate)
     result = plan(CUBE, [10.0], samples=3, max_rate_rad_s=0.05, passes=3)
     assert result["decided"].values.sum() == 3
@@ -89,8 +81,7 @@ def test_decided_rate_far_from_the_truth_counts_as_wrong(monkeypatch, off, wrong
     assert np.isfinite(result["rate_sigma"].values).sum() == (0 if wrong else 3)
 
 
-def test_speeds_of_three_rounds_lie_in_the_three_classes(monkeypatch):
-    monkeypatch.setattr(planning, "rates", lambda *_, **__: answered(np.zeros(3), 1.0, False))
+def test_speeds_of_three_rounds_lie_in_the_three_classes(undecided):
     rounds, options = [], {"samples": 3, "max_rate_rad_s": 0.05, "passes": 3}
     result = plan(CUBE, [60.0, 10.0, 10.0], after_round=rounds.append, **options)
     assert result["every"].values.tolist() == [10.0, 60.0]
@@ -103,27 +94,20 @@ def test_speeds_of_three_rounds_lie_in_the_three_classes(monkeypatch):
 
 
 def test_interrupted_plan_keeps_the_complete_rounds(monkeypatch):
+    """A pass that `rates` refuses is not decided for that reason."""
     calls = []
 
     def rates(*_, **__):
         calls.append(1)
         if len(calls) == 6:
             raise KeyboardInterrupt
-        return answered(np.zeros(3), 1.0, False)
+        raise InputError("no rate explains the samples")
 
     monkeypatch.setattr(planning, "rates", rates)
     result = plan(CUBE, [10.0, 60.0], samples=3, max_rate_rad_s=0.05, passes=5)
     assert int(result["passes"].sum()) == 4
     assert result.attrs["interrupted"] == 1
     assert "Interrupted" in str(plan_summary(result))
-
-
-def test_pass_that_rates_refuses_is_not_decided_for_that_reason(monkeypatch):
-    def rates(*_, **__):
-        raise InputError("no rate explains the samples")
-
-    monkeypatch.setattr(planning, "rates", rates)
-    result = plan(CUBE, [10.0], samples=3, max_rate_rad_s=0.05, passes=1)
     assert "no rate explains" in str(result["why_not_decided"].values[0, 1])
     assert [text.get_text() for text in plan_figure(result).axes[1].texts] == [
         "no right decided rate"
@@ -148,23 +132,28 @@ def test_arguments_that_make_no_sense_are_refused(changes, words):
         plan(CUBE, **given)
 
 
-def test_command_writes_table_passes_and_figure_and_shows_the_first_round(tmp_path, monkeypatch):
-    monkeypatch.setattr(planning, "rates", lambda *_, **__: answered(np.zeros(3), 1.0, False))
+def test_command_writes_table_passes_and_figure_and_shows_the_first_round(
+    tmp_path, undecided, monkeypatch
+):
+    """The name of the vehicle may have signs of a formula."""
     monkeypatch.chdir(tmp_path)
     write_templates(tmp_path)
+    text = (tmp_path / "vehicle.toml").read_text("utf-8").replace('"my satellite"', '"a $^$ b"')
+    (tmp_path / "vehicle.toml").write_text(text, "utf-8")
     words = "plan vehicle.toml --every 10,60 --samples 3 --passes 2 --workers 1 --out beacons"
     done = CliRunner().invoke(cli, words.split())
     assert done.exit_code == 0, done.output
-    assert (
-        "round 1 of 2\n    every   speed, deg/s  passes" in done.stderr
-    )  # its columns are aligned
+    # its columns are aligned
+    assert "round 1 of 2\n    every   speed, deg/s  passes" in done.stderr
     assert "several solutions" in done.stdout
     error = CliRunner().invoke(cli, ["plan", "vehicle.toml", "--every", "often"]).exception
     assert "--every takes intervals in s, such as 10,30,60 (found often)" in str(error)
     table = (tmp_path / "beacons" / "plan.csv").read_text(encoding="utf-8")
-    assert table.splitlines()[0].startswith("every_s,speed_from_deg_s")
+    assert table.splitlines()[0].startswith("every_s,speed_from_deg_s") and "a $^$ b" in text
     assert (tmp_path / "beacons" / "plan.png").exists()
     assert (tmp_path / "beacons" / "plan_passes.csv").exists()
+    summary = (tmp_path / "beacons" / "summary.json").read_text("utf-8")
+    assert summary.count("ynthetic telemetry.") <= 1
 
 
 def test_plan_leaves_out_the_orbit_of_the_vehicle_file_on_request(tmp_path, monkeypatch):

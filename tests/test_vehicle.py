@@ -159,19 +159,14 @@ def test_a_spin_down_gives_the_wheel_its_friction():
     assert wheel.friction == ss.load_vehicle("philae").wheels[0].friction
 
 
-def test_unknown_names_of_a_vehicle_are_refused_with_the_known_ones():
-    with pytest.raises(ss.VehicleError, match="philae, skcube"):
-        ss.load_vehicle("filae")
-
-
 def test_a_vehicle_file_needs_only_what_is_used(tmp_path):
+    """Unknown names of a vehicle are refused with the known ones."""
     panel = '[[panel]]\nname = "a"\nnormal_B = [0, 0, 1]\ngain_W = 2\n'
     vehicle = load(tmp_path, f'name = "panels only"\n{panel}')
     with pytest.raises(ss.VehicleError, match=r"inertia_kg_m2 under \[body\]"):
         ss.propagate(vehicle, [0, 0, 0.1], [1, 0, 0], None, [0.0, 1.0])
-
-
-def test_the_time_offset_of_a_vehicle_file_is_read():
+    with pytest.raises(ss.VehicleError, match="philae, skcube"):
+        ss.load_vehicle("filae")
     offset = '{ value = 1.5, sigma = 2.0, source = "guess" }'
     stated = f'name = "a"\n[clock]\nsensors_late_s = {offset}\n'
     assert parse_vehicle(stated, "a").sensors.clock == Clock(1.5, 2.0)

@@ -4,6 +4,7 @@ import ast
 import io
 import re
 import tokenize
+from functools import cache
 from pathlib import Path
 
 from tests.support.documents import ROOT, pages
@@ -65,6 +66,11 @@ def documented_paths() -> list[Path]:
     return [path for path in paths if path.relative_to(package).parts[0] not in REBUILT_LATER]
 
 
+@cache
+def tree_of(path: Path) -> ast.Module:
+    return ast.parse(path.read_text("utf-8"))
+
+
 def prose(text: str) -> list[str]:
     """Paragraphs and items of a page, without code and tables."""
     text = re.sub(r"^(`{3,}).*?^\1$|\$\$.*?\$\$|\$.*?\$", "", text, flags=re.MULTILINE | re.DOTALL)
@@ -83,19 +89,15 @@ def faults(texts: list[str]) -> list[str]:
 
 def test_printed_strings_use_plain_words_and_short_sentences():
     paths = [path for path in (ROOT / "src").rglob("*.py") if "decoders" not in path.parts]
-    assert not [fault for path in paths for fault in faults(strings(ast.parse(path.read_text())))]
+    assert not [fault for path in paths for fault in faults(strings(tree_of(path)))]
 
 
 def test_docstrings_and_comments_use_plain_words():
+    """Docstrings of functions begin with a verb: articles and question words begin no imperative; the linter's D401 knows more."""
     for path in documented_paths():
-        source = path.read_text("utf-8")
-        assert not faults(docstrings(ast.parse(source)) + comments(source)), path
-
-
-def test_docstrings_of_functions_begin_with_a_verb():
-    """Articles and question words begin no imperative; the linter's D401 knows more of them."""
-    for path in documented_paths():
-        for node in ast.walk(ast.parse(path.read_text("utf-8"))):
+        tree = tree_of(path)
+        assert not faults(docstrings(tree) + comments(path.read_text("utf-8"))), path
+        for node in ast.walk(tree):
             if isinstance(node, ast.FunctionDef):
                 first = (ast.get_docstring(node) or "Return").split()[0].lower()
                 assert first.strip('.,;:"') not in NO_VERBS, f"{path}:{node.lineno}"

@@ -12,7 +12,10 @@ from sunspin.cli import cli
 from sunspin.estimate import rates as estimation
 from sunspin.output.template import write_templates
 
+pytestmark = pytest.mark.usefixtures("framed")
+
 PERIOD_S = 61.0
+QUICK = "--workers", "1", "--effort", "0.1"
 
 
 @pytest.fixture
@@ -40,7 +43,15 @@ def run(*options):
 
 
 def test_periods_of_columns_are_printed_and_weigh_solutions(place):
-    done = run("--period", "light", "--period", "noise", "--workers", "1", "--out", "out")
+    done = run(
+        "--period",
+        "light",
+        "--period",
+        "noise",
+        *QUICK,
+        "--out",
+        "out",
+    )
     assert done.exit_code == 0, done.output
     (light,) = [line for line in done.stdout.splitlines() if "column light" in line]
     (noise,) = [line for line in done.stdout.splitlines() if "column noise" in line]
@@ -73,7 +84,7 @@ def test_a_pass_that_does_not_fit_is_written_in_windows(place, monkeypatch):
         return made[0]
 
     monkeypatch.setattr(estimation, "rates", without_fit)
-    done = run("--workers", "1", "--no-column-tests", "--out", "out")
+    done = run(*QUICK, "--no-column-tests", "--out", "out")
     assert done.exit_code == 0, done.output
     assert "the rate is estimated in short windows" in done.stderr
     assert "windows.csv has the rate in" in done.stdout
@@ -86,5 +97,5 @@ def test_a_pass_that_does_not_fit_is_written_in_windows(place, monkeypatch):
     assert page.exit_code == 0, page.output
     (html,) = (place / "out").glob("*.html")
     assert "Rate in short windows" in html.read_text("utf-8")
-    again = run("--workers", "1", "--no-column-tests", "--no-windows", "--out", "none")
+    again = run(*QUICK, "--no-column-tests", "--no-windows", "--out", "none")
     assert again.exit_code == 0 and not (place / "none" / "windows.csv").exists()

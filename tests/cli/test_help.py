@@ -71,14 +71,10 @@ def test_cheap_examples_of_the_help_run_in_the_folder_of_init(name, undrawn, tmp
 
 @pytest.mark.parametrize("name", COMMANDS)
 def test_every_option_has_a_help_text(name):
+    """And every command has the options --json and --quiet."""
     command = cli.get_command(click.Context(cli), name)
     options = [one for one in command.params if isinstance(one, click.Option)]
     assert not [option.name for option in options if not option.help]
-
-
-@pytest.mark.parametrize("name", COMMANDS)
-def test_every_command_has_the_options_json_and_quiet(name):
-    command = cli.get_command(click.Context(cli), name)
     assert {"as_json", "quiet"} <= {option.name for option in command.params}
 
 
@@ -112,16 +108,10 @@ def test_completion_offers_commands_and_choices(words, expected):
     assert expected in text
 
 
-def test_an_unknown_command_is_answered_with_the_nearest_one(tmp_path):
+def test_an_unknown_command_option_or_name_is_answered_with_the_nearest_one(tmp_path):
     assert "did you mean rates" in sunspin("ratse", cwd=tmp_path, code=2).err
-
-
-def test_an_unknown_option_is_answered_with_the_nearest_one(tmp_path):
     done = sunspin("rates", "v.toml", "t.csv", "--max-rate", "1", cwd=tmp_path, code=2)
     assert "--max-rate-deg-s" in done.err and done.err.count("\n") == 1
-
-
-def test_an_unknown_name_of_the_package_is_answered_with_the_nearest_one():
     said = "no attribute 'posteriors'; did you mean 'posterior'?"
     with pytest.raises(AttributeError, match=said):
         _ = ss.posteriors

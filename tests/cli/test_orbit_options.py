@@ -109,5 +109,6 @@ def test_rates_along_elements_whose_field_and_sun_disagree_are_not_decided(satel
     disagree = orbit.ChosenOrbit(None, None, {}, ["FIELD AND SUN DISAGREE"], True)
     monkeypatch.setattr(orbit, "choose_orbit", lambda *_: disagree)
     words = ["rates", "vehicle.toml", "telemetry.csv", "--json", "--quiet", "--workers", "1"]
+    words += ["--effort", "0.1"]
     (only,) = json.loads(CliRunner().invoke(cli, words).stdout)["passes"]
     assert not only["decided"] and "field and Sun disagree" in only["why_not_decided"]

@@ -14,6 +14,7 @@ from sunspin.cli.common import COMMANDS
 from sunspin.output import folder as folders
 from sunspin.output.template import write_templates
 from sunspin.philae import reproduction
+from tests.support import commands
 
 PLAIN = "vehicle.toml telemetry.csv"
 RATE = "--omega-deg-s 1,0,2 --sun 1,0,0 --duration 60"
@@ -82,21 +83,16 @@ def test_a_refused_run_keeps_earlier_results(place):
     assert done.exit_code != 0 and sorted(p.name for p in (place / "run").iterdir()) == held
 
 
-def sunspin(*words: str, env: dict[str, str] | None = None) -> subprocess.CompletedProcess:
-    run = [sys.executable, "-m", "sunspin.cli", *words]
-    return subprocess.run(run, capture_output=True, text=True, check=False, env=env)
-
-
 def test_decode_refuses_a_file_without_a_readable_frame(place):
     (place / "notes").mkdir()
     (place / "notes" / "readme.txt").write_text("no frame")
-    done = sunspin("decode", "notes", "--out", "decoded")
-    assert done.returncode == 2 and not (place / "decoded").exists()
-    assert "none of 1 frames can be read" in done.stderr and "receive time" in done.stderr
+    done = commands.sunspin("decode", "notes", "--out", "decoded", code=2)
+    assert not (place / "decoded").exists()
+    assert "none of 1 frames can be read" in done.err and "receive time" in done.err
     # the advice: a name with the receive time
     (place / "notes" / "readme.txt").unlink()
     (place / "notes" / "1498677480_OM3KAA").write_bytes(bytes(18) + b"\x63\x01\x02")
-    assert sunspin("decode", "notes", "--out", "decoded").returncode == 0
+    commands.sunspin("decode", "notes", "--out", "decoded")
 
 
 def test_names_of_a_hundred_characters_print_no_warning_of_matplotlib(place):
@@ -106,7 +102,17 @@ def test_names_of_a_hundred_characters_print_no_warning_of_matplotlib(place):
     (place / "long.toml").write_text(text)
     # the program mutes warnings of libraries; as errors they would end it
     clean = os.environ | {"PYTHONWARNINGS": "error::UserWarning"}
-    done = sunspin("sun", "long.toml", "telemetry.csv", "--out", "long", env=clean)
+    run = [
+        sys.executable,
+        "-m",
+        "sunspin.cli",
+        "sun",
+        "long.toml",
+        "telemetry.csv",
+        "--out",
+        "long",
+    ]
+    done = subprocess.run(run, capture_output=True, text=True, check=False, env=clean)
     assert done.returncode == 0 and done.stderr == ""
 
 

@@ -23,10 +23,10 @@ def test_results_of_the_same_command_are_replaced(undrawn, tmp_path):
     assert not [path.name for path in (tmp_path / "run").iterdir() if path.name.endswith(".part")]
 
 
-@pytest.mark.parametrize(("duration", "step"), [(10, 3), (-10, 3), (0.3, 0.1), (0, 1)])
-def test_the_last_output_time_of_simulate_is_its_duration(duration, step):
-    done = sunspin(*MOTION, f"--duration={duration}", f"--step={step}", "--json")
-    assert json.loads(done.out)["t_s"] == pytest.approx(duration, abs=1e-12)
+def test_the_last_output_time_of_simulate_is_its_duration():
+    for duration, step in ((10, 3), (-10, 3), (0.3, 0.1), (0, 1)):
+        done = sunspin(*MOTION, f"--duration={duration}", f"--step={step}", "--json")
+        assert json.loads(done.out)["t_s"] == pytest.approx(duration, abs=1e-12)
 
 
 @pytest.mark.parametrize("home", ["", pytest.param("/proc", marks=pytest.mark.long)])

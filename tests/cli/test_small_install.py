@@ -3,22 +3,25 @@
 from __future__ import annotations
 
 import json
-import os
 import subprocess
 import sys
 from pathlib import Path
+from typing import NamedTuple
 
 import pytest
 
 import sunspin as ss
 from sunspin.base.extras import EXTRAS, install_command
+from sunspin.output.report import write_report
+from tests.support.rows import ELSEWHERE
+from validation.border import CommandResult
 
 OPTIONAL = "matplotlib plotly jinja2 markupsafe spiceypy pyarrow dask distributed heyoka ot"
 """Packages that an installation without extras does not have, as far as modules of sunspin import them."""
 
 HIDING = """
-import runpy, sys
-hidden = set(sys.argv.pop(1).split())
+import json, sys
+hidden = set(sys.argv[1].split())
 class Hiding:
     def find_spec(self, name, path=None, target=None):
         if name.split(".")[0] in hidden:
@@ -26,72 +29,78 @@ class Hiding:
 for name in hidden:
     sys.modules[name] = None
 sys.meta_path.insert(0, Hiding())
-runpy.run_module("sunspin.cli", run_name="__main__", alter_sys=True)
+from validation.border import sunspin
+print(json.dumps([sunspin(*words)[:3] for words in json.loads(sys.argv[2])]))
 """
-"""Program that runs the command line while the packages of its first argument cannot be imported."""
+"""Program that runs commands one after the other while the packages of its first argument cannot be imported."""
+
+FILES = "vehicle.toml", "telemetry.csv"
+EXPORTS = {"aem": "sunspin.aem", "netcdf": "attitude.nc"}
+NEEDS_EXTRA = {
+    ("report", "rates"): "pictures",
+    ("reproduce", "--out", "study"): "study",
+    ("export", "rates", "--format", "ck", "--out", "ck"): "spice",
+    ("export", "rates", "--format", "parquet", "--out", "table"): "parquet",
+}
+COMMANDS = [
+    ("init", "."),
+    ("sun", *FILES, "--out", "sun"),
+    ("rates", *FILES, "--effort", "0.1", "--out", "rates"),
+    ("check", *FILES),
+    *(("export", "rates", "--format", form, "--out", form) for form in EXPORTS),
+    *NEEDS_EXTRA,
+]
 
 
-def run(folder: Path, *arguments: str, hidden: str = OPTIONAL) -> subprocess.CompletedProcess:
-    environment = os.environ | {"PYTHONWARNINGS": ""}
-    command = [sys.executable, "-c", HIDING, hidden, *arguments]
-    return subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True)
+class Installation(NamedTuple):
+    """A folder of the example files with results, and what each command printed without extras."""
+
+    folder: Path
+    results: dict[tuple[str, ...], CommandResult]
 
 
 @pytest.fixture(scope="module")
-def satellite(tmp_path_factory) -> Path:
-    """Folder of the example files, with the results of `sun` and `rates` from an installation without extras."""
+def small(tmp_path_factory) -> Installation:
     folder = tmp_path_factory.mktemp("satellite")
-    assert run(folder, "init", ".").returncode == 0
-    for command in ("sun", "rates"):
-        done = run(folder, command, "vehicle.toml", "telemetry.csv", "--out", command)
-        assert done.returncode == 0, done.stderr
+    program = [sys.executable, "-c", HIDING, OPTIONAL, json.dumps(COMMANDS)]
+    options = {"cwd": folder, "env": ELSEWHERE, "capture_output": True, "text": True}
+    done = subprocess.run(program, **options)
+    assert done.returncode == 0, done.stderr
+    results = [CommandResult(*each) for each in json.loads(done.stdout)]
+    return Installation(folder, dict(zip(COMMANDS, results, strict=True)))
+
+
+def test_results_without_optional_packages_have_all_numbers_and_no_figure(small):
+    for words in COMMANDS[1:3]:
+        done = small.results[words]
+        assert done.code == 0, done.err
         line = f"No figures. For figures and the HTML page: {install_command('pictures')}"
-        assert line in done.stdout.splitlines()
-    return folder
-
-
-def test_check_runs_without_optional_packages(satellite):
-    done = run(satellite, "check", "vehicle.toml", "telemetry.csv")
-    assert done.returncode == 0 and "faces lit" in done.stdout
-
-
-def test_results_without_optional_packages_have_all_numbers_and_no_figure(satellite):
-    files = {path.name for path in (satellite / "rates").iterdir()}
+        assert line in done.out.splitlines()
+    check = small.results["check", *FILES]
+    assert check.code == 0 and "faces lit" in check.out
+    files = {path.name for path in (small.folder / "rates").iterdir()}
     assert {"rates.csv", "passes.csv", "rates.nc", "summary.json", "vehicle.toml"} <= files
-    manifest = json.loads((satellite / "rates" / "manifest.json").read_text("utf-8"))
+    manifest = json.loads((small.folder / "rates" / "manifest.json").read_text("utf-8"))
     drawn = {name for name in files if name.endswith((".png", ".svg"))}
     assert manifest["figures"] == [] and not drawn
-    assert (satellite / "sun" / "sun.csv").is_file()
+    assert (small.folder / "sun" / "sun.csv").is_file()
+    # the page of a folder without figures is written where the packages are
+    assert "plotly" in write_report(small.folder / "rates").read_text("utf-8")
 
 
-def test_the_page_of_a_folder_without_figures_is_written_where_the_packages_are(satellite):
-    from sunspin.output.report import write_report
-
-    page = write_report(satellite / "rates").read_text("utf-8")
-    assert "plotly" in page
-
-
-@pytest.mark.parametrize(("form", "name"), [("aem", "sunspin.aem"), ("netcdf", "attitude.nc")])
-def test_exports_are_written_without_optional_packages(form, name, satellite, tmp_path):
-    done = run(satellite, "export", "rates", "--format", form, "--out", str(tmp_path / "out"))
-    assert done.returncode == 0 and (tmp_path / "out" / name).is_file(), done.stderr
+@pytest.mark.parametrize("form", EXPORTS)
+def test_exports_are_written_without_optional_packages(form, small):
+    done = small.results["export", "rates", "--format", form, "--out", form]
+    assert done.code == 0 and (small.folder / form / EXPORTS[form]).is_file(), done.err
 
 
-@pytest.mark.parametrize(
-    ("arguments", "extra"),
-    [
-        (["report", "rates"], "pictures"),
-        (["reproduce", "--out", "study"], "study"),
-        (["export", "rates", "--format", "ck", "--out", "ck"], "spice"),
-        (["export", "rates", "--format", "parquet", "--out", "table"], "parquet"),
-    ],
-)
-def test_a_command_that_needs_an_extra_names_it_in_one_sentence(arguments, extra, satellite):
-    done = run(satellite, *arguments)
-    assert done.returncode == 2 and done.stdout == ""
-    assert done.stderr.startswith("sunspin: error: ") and done.stderr.count("\n") == 1
-    assert f'pip install "sunspin[{extra}]"' in done.stderr
-    assert "--out" not in arguments or not (satellite / arguments[-1]).exists()
+@pytest.mark.parametrize("words", NEEDS_EXTRA, ids=NEEDS_EXTRA.values())
+def test_a_command_that_needs_an_extra_names_it_in_one_sentence(words, small):
+    done = small.results[words]
+    assert done.code == 2 and done.out == ""
+    assert done.err.startswith("sunspin: error: ") and done.err.count("\n") == 1
+    assert f'pip install "sunspin[{NEEDS_EXTRA[words]}]"' in done.err
+    assert "--out" not in words or not (small.folder / words[-1]).exists()
 
 
 @pytest.mark.parametrize("missing", EXTRAS["pictures"])

@@ -31,9 +31,7 @@ def test_an_executor_of_the_user_computes_the_rows_and_stays_open():
     with ThreadPoolExecutor(2) as executor:
         result = ensemble(function, scheduler=executor, chunk=40)
         assert executor.submit(int).result() == 0
-    expected = ensemble(function, workers=1)
-    for name, value in expected.items():
-        np.testing.assert_allclose(result[name], value, rtol=1e-9)
+    assert same(result, ensemble(function, workers=1))
 
 
 def test_no_rows_give_empty_arrays(tmp_path):
@@ -42,12 +40,10 @@ def test_no_rows_give_empty_arrays(tmp_path):
         assert out["height"].shape == (0,) and out["path"].shape == (0, 2, 3)
 
 
-@pytest.mark.parametrize(
-    "change", [{"workers": 0}, {"workers": 1.5}, {"chunk": 0}, {"chunk": True}]
-)
-def test_bad_arguments_of_ensemble_are_named(change):
-    with pytest.raises(ss.InputError, match=next(iter(change))):
-        ensemble(ROWS, **change)
+def test_bad_arguments_of_ensemble_are_named():
+    for change in ({"workers": 0}, {"workers": 1.5}, {"chunk": 0}, {"chunk": True}):
+        with pytest.raises(ss.InputError, match=next(iter(change))):
+            ensemble(ROWS, **change)
 
 
 def test_an_exception_of_a_row_stops_the_other_rows_at_once(tmp_path):

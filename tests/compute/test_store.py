@@ -166,13 +166,13 @@ def test_a_store_of_other_inputs_or_another_version_of_the_package_is_refused(
     refused(complete, "another version")
 
 
-@pytest.mark.parametrize("content", ["cat.jpg", "zarr.json", "store.json"])
-def test_a_folder_that_is_no_store_or_of_an_earlier_format_is_refused(content, tmp_path):
-    (tmp_path / content).write_text("{}")
-    refused(tmp_path, "no store", "another version", content)
-
-
-def test_a_file_is_refused_as_a_store(tmp_path):
+def test_a_folder_that_is_no_store_and_a_file_are_refused_as_a_store(tmp_path):
+    for content in ("cat.jpg", "zarr.json", "store.json"):
+        other = tmp_path / content.partition(".")[2]
+        other.mkdir(exist_ok=True)
+        (other / content).write_text("{}")
+        refused(other, "no store", "another version", content)
+        (other / content).unlink()
     (tmp_path / "file").write_text("mine")
     refused(tmp_path / "file", "cannot be written (Not a directory)")
     with pytest.raises(ss.OutputError, match="cannot be written"):

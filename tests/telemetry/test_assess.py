@@ -16,6 +16,7 @@ from sunspin.cli.sun import sun
 from sunspin.telemetry import assess as module
 from sunspin.telemetry.assess import Assessment, assess
 from sunspin.telemetry.sun import signals
+from tests.support.orbit_cases import with_few_copies
 from validation.spinners import cases, make
 
 QUESTIONS = ("judge_readings", "sun_directions", "panel_unit", "panel_health", "wrong_units")
@@ -48,7 +49,7 @@ def files(tmp_path):
 
 
 @pytest.mark.parametrize("command", [check, sun, rates], ids=lambda command: command.name)
-def test_a_command_asks_each_question_about_a_file_once(command, files, asked, tmp_path):
+def test_a_command_asks_each_question_about_a_file_once(command, files, asked, tmp_path, undrawn):
     out = [] if command is check else ["--out", str(tmp_path / "out")]
     few = ["--to", "120", "--effort", "0.1"] if command is rates else []
     done = CliRunner().invoke(command, [*map(str, files), "--quiet", *out, *few])
@@ -58,7 +59,10 @@ def test_a_command_asks_each_question_about_a_file_once(command, files, asked, t
 
 @pytest.mark.long
 @pytest.mark.parametrize("command", [check, rates], ids=lambda command: command.name)
-def test_a_command_with_elements_asks_each_question_about_a_file_once(command, tmp_path, asked):
+def test_a_command_with_elements_asks_each_question_about_a_file_once(
+    command, tmp_path, asked, monkeypatch
+):
+    with_few_copies(monkeypatch, 3)
     make(cases(7, 4)[3], tmp_path)
     files = [str(tmp_path / name) for name in ("vehicle.toml", "telemetry.csv")]
     done = CliRunner().invoke(command, [*files, "--tle", str(tmp_path / "right.tle"), "--quiet"])

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import random
-
 import numpy as np
 import pytest
 
@@ -44,14 +42,6 @@ def read(text: str, path):
     return ss.read_telemetry(path, vehicle)
 
 
-def misspelt(name: str, rng: random.Random) -> str:
-    """The name with one slip of the fingers, as people make them."""
-    at = rng.randrange(len(name))
-    added = name[:at] + rng.choice("abcdefghijklmnopqrstuvwxyz") + name[at:]
-    shorter = name[:at] + name[at + 1 :] if len(name) > 3 else name + "_"
-    return rng.choice([added, shorter, name.upper() + "s", name + "_", f"{name} 1"])
-
-
 def test_a_missing_column_of_a_sensor_is_reported_with_the_nearest_name(tmp_path):
     made = satellite_files.wheeled(tmp_path, np.random.default_rng(1), n=6, form="csv")
     for name, other, whose in (
@@ -66,6 +56,7 @@ def test_a_missing_column_of_a_sensor_is_reported_with_the_nearest_name(tmp_path
 
 
 def test_a_sensor_without_any_column_in_the_file_is_listed_and_no_error(tmp_path):
+    """Columns that nothing uses are listed too."""
     made = satellite_files.wheeled(tmp_path, np.random.default_rng(1), n=6, form="csv")
     rows = [line.split(",") for line in made.telemetry.read_text().splitlines()]
     bare = tmp_path / "bare.csv"
@@ -73,9 +64,6 @@ def test_a_sensor_without_any_column_in_the_file_is_listed_and_no_error(tmp_path
     attrs = read(made.vehicle.read_text(), bare).attrs
     assert attrs["missing_sensors"] == "gyro (gx, gy, gz); speed of wheel MW (mw_rpm)"
     assert attrs["unused_columns"] == ""
-
-
-def test_columns_that_nothing_uses_are_listed(tmp_path):
     path = file_with(tmp_path / "t.csv", "time,i_px,i_mx,battery,phase")
     assert read(BASE.format(telemetry="", tables=""), path).attrs["unused_columns"] == "battery"
 
@@ -100,7 +88,7 @@ def test_power_is_current_times_voltage(tmp_path, telemetry, tables, volts):
     assert samples.attrs["unused_columns"] == ("" if tables else "w")
 
 
-def test_a_missing_voltage_is_refused_or_flagged(tmp_path):
+def test_a_missing_voltage_is_refused_or_flagged_and_a_missing_column_of_it_named(tmp_path):
     text = BASE.format(telemetry='voltage_column = "u"', tables="")
     rows = [("0", "1", "0.5", ""), ("1", "1", "0.5", "4")]
     path = file_with(tmp_path / "t.csv", "time,i_px,i_mx,u", rows)
@@ -109,6 +97,10 @@ def test_a_missing_voltage_is_refused_or_flagged(tmp_path):
     flagged = read(text.replace("[telemetry]", '[telemetry]\nbad_rows = "flag"'), path)
     assert flagged["flag"].values.tolist() == [1, 0]
     assert np.isnan(flagged["power_W"].values[0]).all()
+    path = file_with(tmp_path / "t.csv", "time,i_px,i_mx,bus_v")
+    said = "'bus_V' .voltage of panel .X.*did you mean 'bus_v'"
+    with pytest.raises(ss.TelemetryError, match=said):
+        read(BASE.format(telemetry='voltage_column = "bus_V"', tables=""), path)
 
 
 @pytest.mark.parametrize(
@@ -123,10 +115,3 @@ def test_a_missing_voltage_is_refused_or_flagged(tmp_path):
 def test_wrong_voltage_columns_in_the_vehicle_file_are_refused(telemetry, tables, said):
     with pytest.raises(ss.VehicleError, match=said):
         parse_vehicle(BASE.format(telemetry=telemetry, tables=tables), "v.toml")
-
-
-def test_a_missing_voltage_column_is_named(tmp_path):
-    path = file_with(tmp_path / "t.csv", "time,i_px,i_mx,bus_v")
-    said = "'bus_V' .voltage of panel .X.*did you mean 'bus_v'"
-    with pytest.raises(ss.TelemetryError, match=said):
-        read(BASE.format(telemetry='voltage_column = "bus_V"', tables=""), path)

@@ -147,6 +147,7 @@ def test_rates_are_estimated_from_sun_vectors(tmp_path):
 
 
 def test_a_frame_received_by_two_stations_is_one_row_with_both_clocks(tmp_path):
+    """Without any received time the epoch is asked for."""
     form = 'time_column = "up"\ntime_format = "elapsed"\nreceive_time_column = "rx"'
     rows = [
         "500,2026-01-01T00:00:10,A,1,0",
@@ -161,14 +162,10 @@ def test_a_frame_received_by_two_stations_is_one_row_with_both_clocks(tmp_path):
     assert found["time"].values.tolist() == [490, 500, 510]
     assert found["power_W"].values[1].tolist() == [1, 0]
     np.testing.assert_array_equal(found["received_s"], [490, 500, np.nan])
-    with pytest.raises(ss.TelemetryError, match="column 'rx'"):
-        read(tmp_path, text.replace("rx", "received at"), craft(form))
-
-
-def test_a_missing_epoch_is_asked_for(tmp_path):
-    form = 'time_column = "up"\ntime_format = "elapsed"\nreceive_time_column = "rx"'
-    with pytest.raises(ss.TelemetryError, match="epoch_utc"):
-        read(tmp_path, "up,rx,pa,pb\n1,,1,0\n", craft(form))
+    renamed = text.replace("rx", "received at"), "column 'rx'"
+    for wrong, words in (renamed, ("up,rx,pa,pb\n1,,1,0\n", "epoch_utc")):
+        with pytest.raises(ss.TelemetryError, match=words):
+            read(tmp_path, wrong, craft(form))
 
 
 def test_panels_can_be_read_in_turn_or_averaged():
@@ -315,12 +312,11 @@ def test_any_damage_of_stored_telemetry_is_named(stored, how):
     for name in ("flag", "power_W", "gyro_B", "sun_sensor_B", "sun_sensor_cov_B", "time"):
         one = data[name]
         wrong = data.assign_coords({name: (one.dims, SPOILT[how](one))})
-        with pytest.raises(ss.TelemetryError, match="not that of this vehicle"):
-            restore_telemetry(wrong, vehicle, path)
         mean = one.mean("time")
         other = data.rename_dims(time="row") if name == "time" else data.assign({name: mean})
-        with pytest.raises(ss.TelemetryError, match="not that of this vehicle"):
-            restore_telemetry(other, vehicle, path)
+        for damaged in (wrong, other):
+            with pytest.raises(ss.TelemetryError, match="not that of this vehicle"):
+                restore_telemetry(damaged, vehicle, path)
 
 
 def test_stored_telemetry_that_was_changed_or_is_of_another_vehicle_is_refused(stored):
@@ -332,7 +328,6 @@ def test_stored_telemetry_that_was_changed_or_is_of_another_vehicle_is_refused(s
         (data.drop_vars("flag"), "no flags"),
         (data.assign(flag=("time", [0.0, np.nan])), "another form of flag"),
         (data.assign(gyro_B=("time", ["a", "b"])), "another form of gyro_B"),
-        (data.assign(power_W=("time", [1.0, 1.0])), "another form of power_W"),
         (data.assign(power_W=1e300 * data["power_W"]), "power_W beyond all measure"),
         (data.assign_coords(time=[0.0, np.inf]), "no times"),
         (data.assign_attrs(epoch_utc="never"), "no epoch"),

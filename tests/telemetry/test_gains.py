@@ -28,7 +28,7 @@ def readings(craft, n, rng, noise=0.01):
 def test_estimated_gains_cover_the_truth_with_a_tenth_of_outliers():
     rng = np.random.default_rng(1)
     square = []
-    for _ in range(10):
+    for _ in range(5):
         truth = np.exp(0.08 * rng.normal(size=6))
         value = readings(scale_gains(CUBE, truth), 150, rng)
         value[rng.uniform(size=150) < 0.1] *= 0.9
@@ -78,14 +78,14 @@ def test_albedo_changes_no_estimated_gain():
     """The difference of light on two sides of a plane is linear in its normal, whatever gives the light."""
     rng = np.random.default_rng(5)
     errors = []
-    for _ in range(6):
+    for _ in range(4):
         truth = np.exp(0.05 * rng.normal(size=6))
         gains = estimate_gains(CUBE, earthlit(rng, truth, 0.3), 1.0, ALIVE, ALIVE, 0.3).factor
         errors.append(np.log(gains / truth) - np.log(gains / truth).mean())
     assert np.sqrt(np.mean(np.square(errors))) < 0.015
 
 
-@pytest.mark.parametrize("count", [8, pytest.param(60, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("count", [6, pytest.param(60, marks=pytest.mark.slow)])
 def test_a_weak_panel_is_named_and_gains_that_merely_scatter_are_not(count):
     """15 % less than the file states, with the Earth's light; and gains that scatter by 5 and 8 % at an albedo of 0.3."""
     rng = np.random.default_rng(6)

@@ -35,16 +35,25 @@ def tetrahedron():
 
 
 def test_allowed_patterns_of_philae_are_the_sixteen_of_its_geometry():
+    """Bad input is named."""
     health = ss.panel_health(PHILAE, panel_power(PHILAE, directions(5)), noise=SIGMA)
     without = {tuple(p) for p in ("1", "12", "123", "1234", "2345", "345", "45", "5")}
     assert set(health["allowed"]) == without | {(*p, "6") for p in without}
+    for width, sigma, threshold, words in (
+        (5, 1.0, 0.1, "one column for each of the 6 panels"),
+        (6, 0.0, 0.1, "sigma must be the positive noise"),
+        (6, 1.0, -0.1, "lit_threshold must be zero or positive"),
+    ):
+        with pytest.raises(ss.SunspinError, match=words):
+            noise_alone(PHILAE, np.zeros((2, width)), sigma, threshold)
 
 
 @pytest.mark.evidence(
     "panel_health", "validated", "the patterns that the paper reports after the second touchdown"
 )
 def test_panel_1_is_the_only_single_panel_that_explains_the_published_patterns():
-    """Paper, section 4. By trial: remove each panel in turn from what random directions light."""
+    """Paper, section 4. By trial: remove each panel in turn from what random directions light. A pair of dead panels is named only
+    if no single one explains the patterns."""
     patterns = [("2", "3", "6"), ("2", "3"), ("2",)]
     assert find_explanations(PHILAE, patterns) == [("1",)]
     lit = panel_power(PHILAE, directions(20_000)) > 0
@@ -54,10 +63,7 @@ def test_panel_1_is_the_only_single_panel_that_explains_the_published_patterns()
         seen[:, k] = False
         shown = {tuple(names[row].tolist()) for row in np.unique(seen, axis=0)}
         assert set(patterns) <= shown if name == "1" else not set(patterns) <= shown
-
-
-def test_a_pair_of_dead_panels_is_named_only_if_no_single_one_explains_the_patterns():
-    """Panel 2 alone wants panel 1 and panel 4 alone wants panel 5, by symmetry; opposite panels nothing can explain."""
+    # panel 2 alone wants panel 1 and panel 4 alone wants panel 5, by symmetry; opposite panels nothing can explain
     assert find_explanations(PHILAE, [("2",), ("4",)]) == [("1", "5")]
     assert find_explanations(PHILAE, [("1", "5")]) == []
 
@@ -151,19 +157,6 @@ def test_panels_misaligned_within_their_sigmas_are_not_called_dead():
     assert (find_cause_without_loss(dead, 300), dead["explanations"]) == ("", [("d",)])
 
 
-@pytest.mark.parametrize(
-    ("arguments", "text"),
-    [
-        ((np.zeros((2, 5)), 1.0, 0.1), "one column for each of the 6 panels"),
-        ((np.zeros((2, 6)), 0.0, 0.1), "sigma must be the positive noise"),
-        ((np.zeros((2, 6)), 1.0, -0.1), "lit_threshold must be zero or positive"),
-    ],
-)
-def test_bad_input_of_panel_health_is_named(arguments, text):
-    with pytest.raises(ss.SunspinError, match=text):
-        noise_alone(PHILAE, *arguments)
-
-
 READING_SIGMA = 0.02
 
 
@@ -216,7 +209,7 @@ def test_with_misaligned_panels_a_dead_one_is_named_and_a_good_one_never(count, 
 
 
 @pytest.mark.parametrize(
-    ("count", "apart"), [(8, 1.0), pytest.param(60, 1.0, marks=pytest.mark.long), (12, 10.0)]
+    ("count", "apart"), [(8, 1.0), pytest.param(30, 1.0, marks=pytest.mark.long), (8, 10.0)]
 )
 @pytest.mark.evidence(
     "panel_quality",
@@ -237,7 +230,7 @@ def test_a_good_panel_is_not_called_dead_in_power_limited_samples(count, apart):
         order = np.argsort(np.random.default_rng(i).random(n)) if apart > 1 else np.arange(n)
         data = data.assign(power_W=(("time", "panel"), power[order]))
         accused += bool(panel_quality(craft, data)["missed"].any())
-    assert accused <= count // 60
+    assert not accused
 
 
 def test_power_limited_samples_call_no_panel_dead_that_was_never_lit():

@@ -6,7 +6,9 @@ import json
 import re
 from dataclasses import replace
 from datetime import datetime
+from functools import partial
 from importlib import resources
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -29,23 +31,37 @@ def template_rows() -> pd.DataFrame:
     return cells[["time_utc", *PANELS]]
 
 
-def read(folder, text, **telemetry):
+def read_as(path: Path, text: str | bytes, **telemetry):
     """Read a text, or bytes, as telemetry of the template's vehicle, with other values of its [telemetry]."""
-    path = folder / "telemetry"
     path.write_bytes(text if isinstance(text, bytes) else text.encode())
     form = replace(VEHICLE.telemetry, **telemetry)
     return ss.read_telemetry(path, replace(VEHICLE, telemetry=form))
 
 
 @pytest.fixture
-def expected(tmp_path):
-    return read(tmp_path, template_rows().to_csv(index=False))
+def read(tmp_path):
+    return partial(read_as, tmp_path / "telemetry")
 
 
-def assert_same_samples(found, expected):
-    np.testing.assert_allclose(found["time"], expected["time"], atol=1e-6)
-    np.testing.assert_array_equal(found["power_W"], expected["power_W"])
-    assert found.attrs["epoch_utc"] == expected.attrs["epoch_utc"]
+@pytest.fixture(scope="module")
+def expected(tmp_path_factory):
+    return read_as(
+        tmp_path_factory.mktemp("plain") / "telemetry", template_rows().to_csv(index=False)
+    )
+
+
+@pytest.fixture
+def reads_alike(read, expected):
+    """Read a text, assert that its samples are those of the template, and return them."""
+
+    def reads_alike(text, **telemetry):
+        found = read(text, **telemetry)
+        np.testing.assert_allclose(found["time"], expected["time"], atol=1e-6)
+        np.testing.assert_array_equal(found["power_W"], expected["power_W"])
+        assert found.attrs["epoch_utc"] == expected.attrs["epoch_utc"]
+        return found
+
+    return reads_alike
 
 
 def by_metric(rows: pd.DataFrame) -> pd.DataFrame:
@@ -129,11 +145,10 @@ FORMS += ["opentsdb", "opentsdb arrays", "opentsdb values", "grafana frames", "g
 
 
 @pytest.mark.parametrize("form", FORMS)
-def test_answers_of_databases_of_time_series_are_rows_of_one_value(form, tmp_path, expected):
+def test_answers_of_databases_of_time_series_are_rows_of_one_value(form, reads_alike):
     text = databases(template_rows())[form]
     time_format = "utc" if "yamcs" in form or form == "influx 1" else "unix"
-    found = read(tmp_path, text, time_column="time", time_format=time_format)
-    assert_same_samples(found, expected)
+    reads_alike(text, time_column="time", time_format=time_format)
 
 
 def test_series_of_several_metrics_and_labels_have_the_names_that_tell_them_apart(tmp_path):
@@ -154,7 +169,7 @@ def test_series_of_several_metrics_and_labels_have_the_names_that_tell_them_apar
 @pytest.mark.parametrize(
     "change", [None, 3, [], [5], [{"metric": 2}], [{"metric": {}, "values": 7}]]
 )
-def test_an_odd_answer_of_a_database_is_no_traceback(change, tmp_path):
+def test_an_odd_answer_of_a_database_is_no_traceback(change, read):
     results = [{"series": [change, {"columns": ["time", "a"], "values": change}]}]
     frame = {"schema": {"fields": [{"name": "a", "labels": change}]}, "data": {"values": [change]}}
     for document in (
@@ -166,21 +181,18 @@ def test_an_odd_answer_of_a_database_is_no_traceback(change, tmp_path):
         {"results": {"A": {"frames": [frame]}}},
     ):
         with pytest.raises(TelemetryError):
-            read(tmp_path, json.dumps(document))
+            read(json.dumps(document))
 
 
-def test_decimal_commas_in_quotes_are_read_in_a_file_with_commas(tmp_path, expected):
+def test_decimal_commas_in_quotes_are_read_in_a_file_with_commas(read, reads_alike):
     rows = template_rows()
     quoted = rows[PANELS].map(lambda cell: f'"{cell.replace(".", ",")}"')
-    lines = [
-        ",".join([time, *cells])
-        for time, cells in zip(rows["time_utc"], quoted.values.tolist(), strict=True)
-    ]
-    assert_same_samples(read(tmp_path, "\n".join([",".join(rows), *lines])), expected)
+    cells = zip(rows["time_utc"], *quoted.values.T, strict=True)
+    text = "\n".join([",".join(rows), *map(",".join, cells)])
+    reads_alike(text)
     # these may be thousands
-    lines = [re.sub('"[^"]*"', '"1,234"', line) for line in lines]
     with pytest.raises(TelemetryError, match="decimal comma or a thousands separator"):
-        read(tmp_path, "\n".join([",".join(rows), *lines]))
+        read(re.sub('"[^"]*"', '"1,234"', text))
 
 
 INFLUX = """#group,false,false,true,true,false,false,true,true
@@ -215,47 +227,44 @@ EXPORTS = {
     "InfluxDB": (influx, "_time"),
     "JSON lines": (lines_of_metrics, "time"),
     "any order": (lambda rows: by_metric(rows).sample(frac=1, random_state=1).to_csv(), "time_utc"),
+    "fractions": (lambda rows: by_metric(rows).assign(ms="0").to_csv(index=False), "time_utc"),
 }
 
 
 @pytest.mark.parametrize("export", EXPORTS)
-def test_a_row_for_each_value_reads_as_a_row_for_each_sample(export, expected, tmp_path):
+def test_a_row_for_each_value_reads_as_a_row_for_each_sample(export, reads_alike):
     write, time_column = EXPORTS[export]
-    found = read(tmp_path, write(template_rows()), time_column=time_column)
-    if export == "JSON lines":  # numbers there are shortest texts
-        np.testing.assert_allclose(found["power_W"], expected["power_W"])
-    else:
-        assert_same_samples(found, expected)
+    fraction = {"fraction_column": "ms"} if export == "fractions" else {}
+    found = reads_alike(write(template_rows()), time_column=time_column, **fraction)
     assert "rows of one value each, named in column" in found.attrs["clock_notes"]
 
 
 @pytest.mark.parametrize(
     "cell", ['{{panel="{0}",job="eps"}}', "panel={0},host=o", '{{"a": "{0}"}}']
 )
-def test_labels_in_a_column_tell_series_of_one_metric_apart(cell, expected, tmp_path):
+def test_labels_in_a_column_tell_series_of_one_metric_apart(cell, reads_alike):
     rows = by_metric(template_rows())
     rows = rows.assign(labels=rows["Series"].map(cell.format), Series="i")
-    text = rows.rename(columns={"Series": "metric"}).to_csv(index=False)
     columns = {face: f"{name}.i" for face, name in VEHICLE.telemetry.columns.items()}
-    assert_same_samples(read(tmp_path, text, columns=columns), expected)
+    reads_alike(rows.rename(columns={"Series": "metric"}).to_csv(index=False), columns=columns)
 
 
-def test_two_sources_of_one_value_are_refused_with_the_column_that_tells_them_apart(tmp_path):
+def test_two_sources_of_one_value_are_refused_with_the_column_that_tells_them_apart(read):
     rows = by_metric(template_rows())
     both = pd.concat([rows.assign(host="a"), rows.assign(host="b", Value="9.9")])
     said = "two values of 'px' for one time .* keep the rows of one source .column 'host' has 'a'"
-    with pytest.raises(ss.TelemetryError, match=said):
-        read(tmp_path, both.to_csv(index=False))
+    with pytest.raises(TelemetryError, match=said):
+        read(both.to_csv(index=False))
     # the same values twice are no contradiction
     twice = pd.concat([rows.assign(host="a"), rows.assign(host="b")])
-    assert read(tmp_path, twice.to_csv(index=False)).sizes["time"] == len(template_rows())
+    assert read(twice.to_csv(index=False)).sizes["time"] == len(template_rows())
 
 
-def test_names_that_the_vehicle_file_does_not_know_are_listed(tmp_path):
+def test_names_that_the_vehicle_file_does_not_know_are_listed(read):
     rows = by_metric(template_rows()).replace({"Series": {"px": "eps.ipx"}})
     rows["Series"] = "raw." + rows["Series"]
-    with pytest.raises(ss.TelemetryError, match="column 'px' .*found columns time_utc, raw.eps"):
-        read(tmp_path, rows.to_csv(index=False))
+    with pytest.raises(TelemetryError, match="column 'px' .*found columns time_utc, raw.eps"):
+        read(rows.to_csv(index=False))
 
 
 def packets(rows: pd.DataFrame, delay_s: float = 0.4) -> pd.DataFrame:
@@ -270,171 +279,122 @@ def packets(rows: pd.DataFrame, delay_s: float = 0.4) -> pd.DataFrame:
     return pd.concat(parts).sort_values("time_utc")
 
 
-def test_packets_within_a_stated_span_are_one_sample(expected, tmp_path):
+def test_packets_within_a_stated_span_are_one_sample(read, reads_alike, expected):
     text = packets(template_rows()).to_csv(index=False)
-    found = read(tmp_path, text, sample_span_s=2.0)
-    assert_same_samples(found, expected)
+    found = reads_alike(text, sample_span_s=2.0)
     notes = found.attrs["clock_notes"].splitlines()
     n = len(template_rows())
     assert notes[0] == f"{3 * n} rows are {n} samples, each of rows within 2 s"
     assert notes[1].startswith("columns read later than the sample's time: ")
     assert f"{PANELS[3]} by 0.4 s" in notes[1] and f"{PANELS[4]} by 0.8 s" in notes[1]
     assert "offset_s of a panel" in notes[1] and "-sensors_late_s" in notes[1]
+    # a reading that a sample already has begins the next sample
+    reads_alike(text, sample_span_s=1000.0)
+    # a span changes nothing where each row is a sample
+    plain = read(template_rows().to_csv(index=False), sample_span_s=2.0)
+    assert plain.drop_attrs().identical(expected.drop_attrs())
+    assert plain.attrs.get("clock_notes") == expected.attrs.get("clock_notes")
 
 
-def test_a_reading_that_a_sample_already_has_begins_the_next_sample(expected, tmp_path):
-    text = packets(template_rows()).to_csv(index=False)
-    assert_same_samples(read(tmp_path, text, sample_span_s=1000.0), expected)
+def with_units_and_blanks(rows: pd.DataFrame) -> str:
+    """Return a table below titles, with a row of units, decimal commas and fractions of seconds."""
+    units = pd.DataFrame([["[UTC]", *["[W]"] * len(PANELS)]], columns=rows.columns)
+    text = pd.concat([units, rows]).to_csv(index=False, sep=";", decimal=",").replace(".", ",")
+    return "Mission;Demo\nExport;1,2\n\n" + text.replace("Z;", ",000Z;")
 
 
-def test_a_span_changes_nothing_where_each_row_is_a_sample(expected, tmp_path):
-    found = read(tmp_path, template_rows().to_csv(index=False), sample_span_s=2.0)
-    assert found.drop_attrs().identical(expected.drop_attrs())
-    assert found.attrs.get("clock_notes") == expected.attrs.get("clock_notes")
+HABITS = {
+    "sep=;": lambda rows: "sep=;\n" + rows.to_csv(sep=";", index=False),
+    "sep=,": lambda rows: '"sep=,"\r\n' + rows.to_csv(index=False, lineterminator="\r\n"),
+    "closing comma": lambda rows: rows.to_csv(index=False).replace("\n", ",\n"),
+    "closing semicolon": lambda rows: rows.to_csv(sep=";", index=False).replace("\n", ";\n"),
+    "closing header": lambda rows: rows.to_csv(index=False).replace("\n", ",\n", 1),
+    "closing rows": lambda rows: (
+        rows.to_csv(index=False).replace("\n", ",\n").replace(",\n", "\n", 1)
+    ),
+    "bars": lambda rows: rows.to_csv(sep="|", index=False),
+    "UTF-16": lambda rows: rows.to_csv(sep="\t", index=False).encode("utf-16"),
+    "decimal commas": lambda rows: rows.to_csv(sep="\t", index=False).replace(".", ","),
+    "titles": lambda rows: (
+        "Report of one orbit;;\n\nOperator;Max\n" + rows.to_csv(sep=";", index=False)
+    ),
+    "savetxt": lambda rows: "# made with numpy\n# " + rows.to_csv(index=False),
+    "units": lambda rows: rows.to_csv(index=False).replace("\n", "\nUTC,W,W,W,W,W\n", 1),
+    "blanks": lambda rows: rows.to_csv(sep=" ", index=False).replace(" ", "   "),
+    "savetxt with blanks": lambda rows: "# made with numpy\n# " + rows.to_csv(sep=" ", index=False),
+    "titles, units, decimal commas": with_units_and_blanks,
+    "an index": lambda rows: rows.to_csv(),
+}
 
 
-@pytest.mark.parametrize(
-    "write",
-    [
-        lambda rows: "sep=;\n" + rows.to_csv(sep=";", index=False),
-        lambda rows: '"sep=,"\r\n' + rows.to_csv(index=False, lineterminator="\r\n"),
-        lambda rows: rows.to_csv(index=False).replace("\n", ",\n"),
-        lambda rows: rows.to_csv(sep=";", index=False).replace("\n", ";\n"),
-        # a delimiter after the last name alone
-        lambda rows: rows.to_csv(index=False).replace("\n", ",\n", 1),
-        # and after each row, not after the last name
-        lambda rows: rows.to_csv(index=False).replace("\n", ",\n").replace(",\n", "\n", 1),
-        lambda rows: rows.to_csv(sep="|", index=False),
-        lambda rows: rows.to_csv(sep="\t", index=False).encode("utf-16"),
-        lambda rows: rows.to_csv(sep="\t", index=False).replace(".", ","),
-        lambda rows: "Report of one orbit;;\n\nOperator;Max\n" + rows.to_csv(sep=";", index=False),
-        lambda rows: "# made with numpy\n# " + rows.to_csv(index=False),
-        lambda rows: rows.to_csv(index=False).replace("\n", "\nUTC,W,W,W,W,W\n", 1),
-        lambda rows: rows.to_csv(sep=" ", index=False).replace(" ", "   "),
-        lambda rows: "# made with numpy\n# " + rows.to_csv(sep=" ", index=False),
-        lambda rows: (
-            "Satellite;X;;;;\n"
-            + rows.to_csv(sep=";", index=False)
-            .replace("\n", "\nISO8601;(W);;;;\n", 1)
-            .replace(".", ",")
-        ),
-    ],
-    ids=[
-        *("sep=;", "sep=,", "closing comma", "closing semicolon", "closing header"),
-        *(
-            "closing rows",
-            "bars",
-            "UTF-16",
-            "decimal commas",
-            "titles",
-            "savetxt",
-            "units",
-            "blanks",
-            "savetxt with blanks",
-            "titles and units",
-        ),
-    ],
-)
-def test_habits_of_spreadsheets_are_read(write, expected, tmp_path):
-    assert_same_samples(read(tmp_path, write(template_rows())), expected)
+@pytest.mark.parametrize("habit", HABITS)
+def test_habits_of_spreadsheets_are_read(habit, reads_alike):
+    reads_alike(HABITS[habit](template_rows()))
 
 
-def test_the_index_of_pandas_without_a_name_is_a_column_that_can_be_named(expected, tmp_path):
-    rows = template_rows()
-    assert_same_samples(read(tmp_path, rows.to_csv()), expected)
-    text = rows.set_index("time_utc").rename_axis(index=None).to_csv()
-    assert_same_samples(read(tmp_path, text, time_column="column 1"), expected)
+def test_the_index_of_pandas_without_a_name_is_a_column_that_can_be_named(reads_alike):
+    text = template_rows().set_index("time_utc").rename_axis(index=None).to_csv()
+    reads_alike(text, time_column="column 1")
 
 
-@pytest.mark.parametrize("form", ["columns", "split", "list", "records", "hits"])
-def test_a_JSON_document_with_a_table_in_it_reads_as_that_table(form, expected, tmp_path):
+@pytest.mark.parametrize("form", ["columns", "split", "list", "records", "hits", "influx 1"])
+def test_a_JSON_document_with_a_table_in_it_reads_as_that_table(form, reads_alike):
     """In one document a table was read as a single sample of its first row."""
     rows = template_rows()
     records = rows.to_dict("records")
+    series = {"name": "eps", "columns": list(rows), "values": rows.to_numpy().tolist()}
     documents = {
         "list": rows.to_dict("list"),
         "records": {"units": [{"px": "W"}, {"mx": "W"}], "data": records},
         "hits": {"took": 3, "hits": {"total": {"value": 2}, "hits": records}},
+        "influx 1": {"results": [{"statement_id": 0, "series": [series]}]},
     }
-    if form in documents:
-        text = json.dumps(documents[form])
-    else:
-        text = rows.to_json(orient=form)
-    assert_same_samples(read(tmp_path, text), expected)
+    reads_alike(json.dumps(documents[form]) if form in documents else rows.to_json(orient=form))
 
 
-def test_a_row_that_is_too_long_is_refused_after_a_closing_delimiter_too(tmp_path):
+def test_a_row_that_is_too_long_is_refused_after_a_closing_delimiter_too(read):
     lines = template_rows().to_csv(index=False).splitlines()
     text = "\n".join([lines[0] + ",", lines[1] + ",", lines[2] + ",7"])
     said = "line 3: the row has 7 values but the header names 6 columns"
-    with pytest.raises(ss.TelemetryError, match=said):
-        read(tmp_path, text)
+    with pytest.raises(TelemetryError, match=said):
+        read(text)
 
 
 @pytest.mark.parametrize(
     ("unit", "per_second"), [("milliseconds", 1e3), ("microseconds", 1e6), ("nanoseconds", 1e9)]
 )
-def test_Unix_times_in_smaller_units_are_known_by_their_size(unit, per_second, expected, tmp_path):
+def test_Unix_times_in_smaller_units_are_known_by_their_size(unit, per_second, reads_alike):
     rows = template_rows()
     seconds = (pd.to_datetime(rows["time_utc"]) - pd.Timestamp(0, tz="UTC")).dt.total_seconds()
     rows["time_utc"] = [f"{round(second * per_second)}" for second in seconds]
     text = rows.to_csv(index=False)
-    found = read(tmp_path, text, time_format="unix")
-    assert_same_samples(found, expected)
+    found = reads_alike(text, time_format="unix")
     assert f"times taken as Unix {unit} by their size" in found.attrs["clock_notes"]
     # a stated unit is not changed
-    stated = read(tmp_path, text, time_format="unix", time_scale_s=1 / per_second)
-    assert_same_samples(stated, expected)
+    stated = reads_alike(text, time_format="unix", time_scale_s=1 / per_second)
     assert "clock_notes" not in stated.attrs
 
 
-def test_rows_of_several_sources_and_cut_times_are_named(expected, tmp_path):
+def test_rows_of_several_sources_cut_times_and_the_other_sign_are_named(read):
+    def notes(rows):
+        return read(rows.to_csv(index=False), bad_rows="flag").attrs.get("clock_notes", "")
+
     rows = template_rows()
     second = rows.assign(**{PANELS[0]: "0.123"})
-    mixed = pd.concat([rows.assign(sat="A"), second.assign(sat="B")]).to_csv(index=False)
-    notes = read(tmp_path, mixed, bad_rows="flag").attrs["clock_notes"]
-    assert "40 of 80 rows have the time of the row before" in notes and "'sat' differs" in notes
-    assert "column 'sat' has 2 values (A, B): keep the rows of one satellite" in notes
-    cut = rows.assign(time_utc=rows["time_utc"].str[:16] + "Z").to_csv(index=False)
-    notes = read(tmp_path, cut, bad_rows="flag").attrs["clock_notes"]
-    assert "its times are cut" in notes and "keep the rows" not in notes
-    right = rows.assign(sat="A", sat_mode=["SAFE", "SUN"] * 20).to_csv(index=False)
-    assert "clock_notes" not in read(tmp_path, right, bad_rows="flag").attrs
-
-
-def test_fractions_of_a_row_for_each_value_are_read(expected, tmp_path):
-    rows = by_metric(template_rows()).assign(ms="0")
-    found = read(tmp_path, rows.to_csv(index=False), fraction_column="ms")
-    assert_same_samples(found, expected)
-
-
-def test_readings_with_the_other_sign_are_named(tmp_path):
-    rows = template_rows()
+    mixed = notes(pd.concat([rows.assign(sat="A"), second.assign(sat="B")]))
+    assert "40 of 80 rows have the time of the row before" in mixed and "'sat' differs" in mixed
+    assert "column 'sat' has 2 values (A, B): keep the rows of one satellite" in mixed
+    cut = notes(rows.assign(time_utc=rows["time_utc"].str[:16] + "Z"))
+    assert "its times are cut" in cut and "keep the rows" not in cut
+    assert not notes(rows.assign(sat="A", sat_mode=["SAFE", "SUN"] * 20))
     rows[PANELS] = "-" + rows[PANELS]
-    notes = read(tmp_path, rows.to_csv(index=False), bad_rows="flag").attrs["clock_notes"]
-    assert "all panel readings are negative" in notes
-
-
-def test_a_header_below_titles_is_found_above_numbers_with_decimal_commas(expected, tmp_path):
-    rows = template_rows()
-    units = pd.DataFrame([["[UTC]", *["[W]"] * len(PANELS)]], columns=rows.columns)
-    text = pd.concat([units, rows]).to_csv(index=False, sep=";", decimal=",").replace(".", ",")
-    text = text.replace("Z;", ",000Z;")
-    found = read(tmp_path, f"Mission;Demo\nExport;1,2\n\n{text}")
-    assert_same_samples(found, expected)
-
-
-def test_a_query_of_InfluxDB_1_reads_as_its_table(expected, tmp_path):
-    rows = template_rows()
-    series = {"name": "eps", "columns": list(rows), "values": rows.to_numpy().tolist()}
-    page = {"results": [{"statement_id": 0, "series": [series]}]}
-    assert_same_samples(read(tmp_path, json.dumps(page)), expected)
+    assert "all panel readings are negative" in notes(rows)
 
 
 @pytest.mark.parametrize(
     ("head", "what"),
     [(b"PK\x03\x04", "a spreadsheet or a ZIP"), (b"\x1f\x8b", "a compressed file")],
 )
-def test_packed_files_are_refused_by_their_name(head, what, tmp_path):
-    with pytest.raises(ss.TelemetryError, match=f"this is {what}.*; unpack it, or save"):
-        read(tmp_path, head + bytes(range(200)))
+def test_packed_files_are_refused_by_their_name(head, what, read):
+    with pytest.raises(TelemetryError, match=f"this is {what}.*; unpack it, or save"):
+        read(head + bytes(range(200)))

@@ -30,10 +30,15 @@ def clean(n, seed=0):
 
 
 def test_clean_samples_are_all_used():
+    """Also those of a body at rest, whose readings are not called stale."""
     quality = panel_quality(CUBE, telemetry(clean(40)[0]))
     assert np.all(quality["use"] == USED) and not quality["dead"].any()
     assert set(quality["why"].values) == {"used"}
     assert np.isfinite(quality["sigma"]).all()
+    still = np.tile(ss.panel_power(CUBE, [0.6, 0.0, 0.8]), (30, 1))
+    assert np.all(panel_quality(CUBE, telemetry(still))["use"] == USED)
+    with pytest.raises(ss.InputError, match="no panel powers or currents"):
+        panel_quality(CUBE, telemetry(still).drop_vars("current_A"))
 
 
 @pytest.mark.evidence("panel_quality", "modelled", "a panel set to zero")
@@ -123,11 +128,6 @@ def test_noise_in_shadow_is_not_taken_for_an_oblique_sun(told):
     assert (use[~lit] == DROPPED).all() and (use[lit & seen] == USED).all()
 
 
-def test_readings_of_a_body_at_rest_are_not_called_stale():
-    value = np.tile(ss.panel_power(CUBE, [0.6, 0.0, 0.8]), (30, 1))
-    assert np.all(panel_quality(CUBE, telemetry(value))["use"] == USED)
-
-
 def test_albedo_is_estimated_from_panels_opposite_to_lit_ones():
     value, sun = clean(300)
     rng = np.random.default_rng(1)
@@ -137,8 +137,3 @@ def test_albedo_is_estimated_from_panels_opposite_to_lit_ones():
     # 84 % point of a uniform law up to 0.2
     assert quality.attrs["albedo"] == pytest.approx(0.168, abs=0.03)
     assert panel_quality(CUBE, telemetry(value[:3])).attrs["albedo"] == ALBEDO_DEFAULT
-
-
-def test_panel_quality_without_panels_is_refused_in_one_sentence():
-    with pytest.raises(ss.InputError, match="no panel powers or currents"):
-        panel_quality(CUBE, telemetry(clean(4)[0]).drop_vars("current_A"))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import partial
 
 import numpy as np
 import pytest
@@ -59,7 +58,7 @@ def with_copies(t, value, late_s, every):
     return times[order], np.concatenate([value, value[::every]])[order], copies[order]
 
 
-@pytest.mark.parametrize("count", [7, 26, 80])
+@pytest.mark.parametrize("count", [7, 80])
 def test_a_frozen_end_of_any_length_is_named_and_left_out(count):
     t, value = tumbling(40)
     t = np.concatenate([t, t[-1] + 20.0 * np.arange(1, count + 1)])
@@ -71,7 +70,7 @@ def test_a_frozen_end_of_any_length_is_named_and_left_out(count):
 
 
 @pytest.mark.parametrize("fill", [np.nan, 999.0], ids=["empty", "999"])
-@pytest.mark.parametrize("cells", [0, 1, 2, 6])
+@pytest.mark.parametrize("cells", [1, 6])
 def test_a_frozen_half_is_named_even_with_empty_cells(cells, fill):
     t, value = tumbling(80)
     value[40:] = value[39]
@@ -82,7 +81,7 @@ def test_a_frozen_half_is_named_even_with_empty_cells(cells, fill):
     assert all("stale" in text for text in frozen.quality["why"].values[40:])
 
 
-@pytest.mark.parametrize("frames", [2, 3, 4])
+@pytest.mark.parametrize("frames", [2, 4])
 def test_frames_repeated_by_a_looping_buffer_are_named(frames):
     t, value = tumbling(40)
     t = np.concatenate([t, t[-1] + 20.0 * np.arange(1, 61)])
@@ -91,7 +90,7 @@ def test_frames_repeated_by_a_looping_buffer_are_named(frames):
     assert "60 samples equal to earlier ones" in describe_repeats(looped)[1][0]
 
 
-@pytest.mark.parametrize("late_s", [1.0, 7.0, 13.0, 23.0, 30.0])
+@pytest.mark.parametrize("late_s", [1.0, 13.0, 30.0])
 def test_copies_of_frames_without_noise_are_left_out(late_s):
     t, value = tumbling(40, apart=3.0, noise=0.0, step=COUNT)
     t, value, copies = with_copies(t, value, late_s, 3)
@@ -135,7 +134,7 @@ def test_copies_of_a_frame_are_left_out_in_many_short_passes():
     assert np.array_equal(looked_at(t, value).repeats.frozen, copies)
 
 
-@pytest.mark.parametrize("times", [2, 3, 5])
+@pytest.mark.parametrize("times", [2, 5])
 def test_held_samples_are_left_out_and_their_number_is_reported(times):
     t, value = tumbling(40, apart=10.0, step=COUNT)
     each = (t[:, None] + 10.0 / times * np.arange(times)).ravel()
@@ -149,25 +148,21 @@ def held_nine_times():
     return looked_at((t[:, None] + 20.0 * np.arange(9)).ravel(), np.repeat(value, 9, axis=0))
 
 
-HELD = "each reading is repeated 9 times: held values?"
-
-
-def test_repeats_among_too_few_readings_are_reported_and_kept():
-    found = held_nine_times()
+def test_repeats_among_too_few_readings_are_reported_and_kept_and_the_rates_not_decided():
+    found, held = held_nine_times(), "each reading is repeated 9 times: held values?"
     assert not found.repeats.frozen.any() and found.repeats.unsure.all()
-    assert describe_repeats(found)[1][0].startswith(f"  {HELD}")
-
-
-def test_rates_of_readings_that_may_be_held_are_never_decided():
-    result = ss.rates(CUBE, held_nine_times(), effort=0.02)
-    assert not result["decided"].any() and HELD in str(result["why_not_decided"].values[0])
+    assert describe_repeats(found)[1][0].startswith(f"  {held}")
+    quick = {"effort": 0.02, "max_rate_rad_s": 0.02, "column_tests": False}
+    result = ss.rates(CUBE, found, **quick)
+    assert not result["decided"].any() and held in str(result["why_not_decided"].values[0])
 
 
 def test_the_number_of_samples_used_is_that_of_the_passes():
     t, value = tumbling(120)
     t[118:] += 10_000.0  # two samples alone
     said: list[str] = []
-    result = ss.rates(CUBE, looked_at(t, value), effort=0.02, progress=said.append)
+    found = looked_at(t, value)
+    result = ss.rates(CUBE, found, effort=0.02, column_tests=False, progress=said.append)
     used = np.char.startswith(result["why"].values.astype(str), "used")
     assert used.sum() == result["samples"].values.sum() == 118
     assert result["why"].values[-1] == ALONE
@@ -187,7 +182,7 @@ def test_the_number_of_samples_used_is_that_of_the_passes():
     ids="slow usual coarse rest noisy".split(),
 )
 def test_coarse_counts_and_bodies_at_rest_are_not_called_frozen(made):
-    for seed in range(10):
+    for seed in range(4):
         repeats = looked_at(*tumbling(300, seed, **made)).repeats
         assert not repeats.frozen.any() and not repeats.columns.any()
 
@@ -201,7 +196,7 @@ def test_zeros_in_shadow_are_not_called_repeats():
 
 
 @pytest.mark.parametrize("count", [12, 60])
-@pytest.mark.parametrize("longer", [1.0, 0.9999, 0.9997, 0.999])
+@pytest.mark.parametrize("longer", [1.0, 0.9997, 0.999])
 @pytest.mark.parametrize("each_turn", [3, 6])
 def test_a_spinner_in_step_with_its_sampling_is_not_called_frozen(each_turn, longer, count):
     """Without noise, a turn of about 20 s shows the same few directions again and again."""
@@ -264,10 +259,6 @@ def filled(rows, columns, number):
     return spoil
 
 
-cell = partial(filled, [20, 31, 40], [0, 3, 5])
-row = partial(filled, [20, 31], slice(None))
-
-
 def repeated(t, value):
     value[20:30] = value[19]
     return np.arange(20, 30), slice(None)
@@ -285,18 +276,23 @@ def dead(t, value):
     return lit, k
 
 
+ROWS, CELLS = ([20, 31], slice(None)), ([20, 31, 40], [0, 3, 5])
 FAULTS = {
-    **{str(value): cell(float(value)) for value in (-999, -1, 999, 65535, 0x7FFF)},
-    **{"not a number": cell(np.nan), "row without numbers": row(np.nan)},
-    **{"row of -999": row(-999.0), "row of 65535": row(65535.0)},
+    **{str(value): filled(*CELLS, float(value)) for value in (-999, -1, 65535)},
+    **{"not a number": filled(*CELLS, np.nan), "row without numbers": filled(*ROWS, np.nan)},
+    **{"row of -999": filled(*ROWS, -999.0), "row of 65535": filled(*ROWS, 65535.0)},
     **{"frozen": repeated, "late": late, "dead panel": dead},
     **{"battery-limited": dimmed(0.6), "idle": dimmed(0.2), "nothing lit": dimmed(0.0)},
 }
+WITHOUT_NOISE = ("-999", "frozen", "dead panel", "battery-limited")
 
 
-@pytest.mark.parametrize("noise", [0.002, None], ids=["noise stated", "not stated"])
-@pytest.mark.parametrize("fault", FAULTS)
+@pytest.mark.parametrize(
+    ("fault", "noise"),
+    [*((fault, 0.002) for fault in FAULTS), *((fault, None) for fault in WITHOUT_NOISE)],
+)
 def test_repeated_readings_are_used_by_no_command(fault, noise):
+    """Nor other readings that are known as wrong; with a stated noise and with one that is estimated."""
     t, value = tumbling(60)
     rows, panel = FAULTS[fault](t, value)
     vehicle = replace(CUBE, telemetry=replace(CUBE.telemetry, noise=noise))

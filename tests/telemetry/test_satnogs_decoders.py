@@ -73,23 +73,21 @@ def decode(*arguments):
 
 
 def test_frames_are_decoded_with_their_own_times_and_bad_ones_are_counted(raw, install):
+    """The table has a column for each field, and empty cells without it."""
     install()
     decoded = decode_by_program("cubesat", raw)
     assert [time - 1767225600 for time, *_ in decoded.rows] == [0, 60, 120]
     assert decoded.rows[0][2] == {"panel_x_plus_current": 11, "panel_y_plus_current": 21}
     assert decoded.unread == {"requested N bytes, but only N bytes available": 2}
     assert decoded.version == "9.9"
-
-
-def test_the_table_has_a_column_for_each_field_and_empty_cells_without_it(raw, install):
-    install()
-    text = decoded_csv(decode_by_program("cubesat", raw))
-    rows = list(csv.DictReader(text.splitlines()))
+    rows = list(csv.DictReader(decoded_csv(decoded).splitlines()))
     assert list(rows[0]) == (
         "received_utc station panel_x_plus_current panel_y_plus_current call bins".split()
     )
     assert [row["panel_x_plus_current"] for row in rows] == ["11", "10", ""]
     assert rows[2]["call"] == "OM;3" and rows[2]["bins"] == "[22 31]"
+    with pytest.raises(ss.InputError, match=r"no decoder of this name \(found nosuch\)"):
+        decode_by_program("nosuch", raw)
 
 
 def test_the_command_writes_a_table_and_a_column_map_from_which_init_makes_a_vehicle(
@@ -119,12 +117,6 @@ def test_without_the_program_one_sentence_says_what_to_install(raw, tmp_path, mo
     assert not (tmp_path / "out").exists()
 
 
-def test_a_decoder_that_the_program_lacks_is_named(raw, install):
-    install()
-    with pytest.raises(ss.InputError, match=r"no decoder of this name \(found nosuch\)"):
-        decode_by_program("nosuch", raw)
-
-
 def test_a_folder_that_is_not_ours_is_refused_before_the_program_runs(raw, tmp_path, install):
     started = tmp_path / "started"
     install(f"#!{sys.executable}\nopen({str(started)!r}, 'w')\n")
@@ -135,17 +127,14 @@ def test_a_folder_that_is_not_ours_is_refused_before_the_program_runs(raw, tmp_p
     assert code != 0 and "not empty and not a results folder" in why and not started.exists()
 
 
-def test_a_bad_name_of_a_decoder_makes_no_folder(raw, tmp_path, monkeypatch):
+def test_only_names_reach_the_program(raw, install, tmp_path, monkeypatch):
+    install(f"#!{sys.executable}\nraise SystemExit('started')\n")
+    for name in ("--help", "../skcube", "a b", "", "x;ls"):
+        with pytest.raises(ss.InputError, match="a name of letters"):
+            decode_by_program(name, raw)
     monkeypatch.chdir(tmp_path)
     code, _, why = decode(raw, "--decoder", "a b")
     assert code != 0 and "a name of letters" in why and not (tmp_path / "a b").exists()
-
-
-@pytest.mark.parametrize("name", ["--help", "../skcube", "a b", "", "x;ls"])
-def test_only_names_reach_the_program(name, raw, install):
-    install(f"#!{sys.executable}\nraise SystemExit('started')\n")
-    with pytest.raises(ss.InputError, match="a name of letters"):
-        decode_by_program(name, raw)
 
 
 @pytest.mark.parametrize(
@@ -155,10 +144,8 @@ def test_only_names_reach_the_program(name, raw, install):
         "print('no JSON')",
         "print('[1]')",
         'print(\'[{"time": "7", "fields": {}, "tags": {}}]\')',
-        'print(\'[{"time": "-1", "fields": {}, "tags": {}}]\')',
         'print(\'[{"time": "0", "fields": 3, "tags": {}}]\')',
         'print(\'[{"time": "0", "fields": {}, "tags": 1}]\')',
-        "print('{}')",
     ],
 )
 def test_a_program_that_fails_or_prints_something_else_is_refused(body, raw, install):

@@ -78,31 +78,24 @@ def test_decode_writes_every_kind_of_beacon_of_a_satnogs_export(form, tmp_path):
         assert row == {name: str(n) for name, n in zip(KINDS[kind][1], numbers(kind), strict=True)}
 
 
-HOSTILE = {
-    "not hexadecimal": '{"timestamp": "2017-06-23T07:02:55Z", "frame": "xyz"}',
-    "no frames": '[{"timestamp": "2017-06-23T07:02:55Z"}]',
-    "a broken line": "2017-06-23 07:02:55|00FF\nnonsense\n",
-    "not JSON": '{"timestamp": ',
-}
+HOSTILE = (
+    '{"timestamp": "2017-06-23T07:02:55Z", "frame": "xyz"}',  # not hexadecimal
+    '[{"timestamp": "2017-06-23T07:02:55Z"}]',  # no frames
+    "2017-06-23 07:02:55|00FF\nnonsense\n",
+    '{"timestamp": ',
+)
 
 
-@pytest.mark.parametrize("text", HOSTILE.values(), ids=HOSTILE)
-def test_a_damaged_satnogs_export_is_refused_in_one_sentence(text, tmp_path):
-    raw = tmp_path / "export"
-    raw.write_text(text)
-    with pytest.raises(ss.TelemetryError, match="export") as told:
-        decode_beacons(raw)
-    assert "\n" not in str(told.value)
-
-
-@pytest.mark.parametrize("content", [b"", b"PK\x03\x04 cut off"])
-def test_decode_refuses_a_file_that_is_no_zip_in_one_sentence(content, tmp_path):
-    path = tmp_path / "raw.zip"
-    path.write_bytes(content)
-    with pytest.raises(ss.TelemetryError, match="raw beacons cannot be read"):
-        decode_beacons(path)
+def test_a_damaged_export_and_a_file_without_beacons_are_refused_in_one_sentence(tmp_path):
+    contents = {text.encode(): "export" for text in HOSTILE}
+    contents |= {b"": "raw beacons cannot be read", b"PK\x03\x04 cut off": "cannot be read"}
+    for content, words in contents.items():
+        (tmp_path / "export").write_bytes(content)
+        with pytest.raises(ss.TelemetryError, match=words) as told:
+            decode_beacons(tmp_path / "export")
+        assert "\n" not in str(told.value)
+    (tmp_path / "empty").mkdir()
     with pytest.raises(ss.TelemetryError, match="no raw beacon here"):
-        (tmp_path / "empty").mkdir()
         decode_beacons(tmp_path / "empty")
 
 

@@ -1,7 +1,5 @@
 """Panels and Sun directions: geometry, the exact minimum compared with brute force, status, uncertainty over many directions."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from scipy.optimize import minimize
@@ -31,12 +29,12 @@ def test_panel_power_by_hand():
 
 
 @pytest.mark.parametrize(
-    "seed", [0, 1, *(pytest.param(seed, marks=pytest.mark.long) for seed in range(2, 6))]
+    "seed", [0, *(pytest.param(seed, marks=pytest.mark.long) for seed in range(1, 6))]
 )
 def test_illumination_patterns_of_any_vehicle_are_those_of_random_directions(seed):
     vehicle = random_panels(seed, 5)
     names = np.array(vehicle.panel_names)
-    lit = np.unique(panel_power(vehicle, directions(200_000)) > 0, axis=0)
+    lit = np.unique(panel_power(vehicle, directions(100_000)) > 0, axis=0)
     shown = {frozenset(names[row].tolist()) for row in lit}
     assert shown <= set(lit_patterns(vehicle))
     # n great circles in general position cut the sphere into n(n-1)+2
@@ -80,7 +78,7 @@ def misfit(vehicle, n, power):
 @pytest.mark.evidence(
     "sun_directions", "verified", "SciPy's Nelder-Mead over the sphere, inconsistent powers too"
 )
-@pytest.mark.parametrize("seed", range(8))
+@pytest.mark.parametrize("seed", range(4))
 def test_the_best_direction_is_the_global_minimum_for_any_powers(seed, reached):
     """Random, also inconsistent powers, against a dense search with local polish."""
     rng = np.random.default_rng(seed)
@@ -114,46 +112,43 @@ def test_a_swapped_or_scaled_panel_raises_the_misfit_if_more_than_three_are_lit(
 
 
 def test_three_lit_panels_are_reported_as_unchecked():
-    sun = ss.sun_directions(PHILAE, panel_power(PHILAE, [[-0.3, -0.6, 0.7]]), lit_threshold=1e-6)
-    assert sun["status"].values[0] == SunStatus.UNCHECKED
+    right = panel_power(PHILAE, [[-0.3, -0.6, 0.7]])
+    sun = ss.sun_directions(PHILAE, [right[0], right[0] * [1, 1, 1, 2, 1, 1]], lit_threshold=1e-6)
+    assert (sun["status"].values == SunStatus.UNCHECKED).all()
     assert "exactly three" in sun["status_text"].values[0]
-    wrong = panel_power(PHILAE, [[-0.3, -0.6, 0.7]]) * [1, 1, 1, 2.0, 1, 1]
-    assert ss.sun_directions(PHILAE, wrong, lit_threshold=1e-6)["delta"].values[0] < 1e-9
+    assert sun["delta"].values[1] < 1e-9
 
 
-@pytest.mark.parametrize(
-    ("lit", "status"),
-    [
-        ([0, 0, 0, 0, 0, 0], SunStatus.DARK),
-        ([1, 0, 0, 0, 0, 0], SunStatus.REGION),
-        ([0, 0, 1, 1, 1, 0], SunStatus.ARC),
-        ([1, 1, 0, 0, 0, 1], SunStatus.RULE),
-        ([0, 1, 1, 0, 0, 1], SunStatus.IMPOSSIBLE),
-        ([np.nan, 1, 1, 0, 0, 1], SunStatus.MISSING),
-    ],
-)
-def test_every_sample_without_a_direction_has_a_status(lit, status):
-    sun = ss.sun_directions(PHILAE, np.array([lit], dtype=float), lit_threshold=0.1)
-    assert sun["status"].values[0] == status
-    assert len(sun["status_text"].values[0]) > 10
+def test_every_sample_without_a_direction_has_a_status():
+    lit = {
+        SunStatus.DARK: [0, 0, 0, 0, 0, 0],
+        SunStatus.REGION: [1, 0, 0, 0, 0, 0],
+        SunStatus.ARC: [0, 0, 1, 1, 1, 0],
+        SunStatus.RULE: [1, 1, 0, 0, 0, 1],
+        SunStatus.IMPOSSIBLE: [0, 1, 1, 0, 0, 1],
+        SunStatus.MISSING: [np.nan, 1, 1, 0, 0, 1],
+    }
+    sun = ss.sun_directions(PHILAE, np.array([*lit.values()], dtype=float), lit_threshold=0.1)
+    assert sun["status"].values.tolist() == list(lit)
+    assert all(len(text) > 10 for text in sun["status_text"].values)
+
+
+def arc_ends(craft, power):
+    """Return the ends of the arc of directions of one sample, the lower one first."""
+    sun = ss.sun_directions(craft, power, lit_threshold=1e-9)
+    assert sun["status"].values[0] == SunStatus.ARC
+    return sorted(sun["sun_arc_B"].values[0].tolist(), key=lambda end: end[2])
 
 
 def test_an_arc_of_directions_without_dark_panels_is_half_a_circle():
     """Two lit panels in one plane and no other: from one pole of that plane over what they see to the other."""
     craft = Vehicle("two", panels=[Panel("a", [1, 0, 0], 1.0), Panel("b", [0, 1, 0], 1.0)])
-    sun = ss.sun_directions(craft, [[0.6, 0.8]], lit_threshold=1e-9)
-    assert sun["status"].values[0] == SunStatus.ARC
-    ends = sorted(sun["sun_arc_B"].values[0].tolist(), key=lambda end: end[2])
+    ends = arc_ends(craft, [[0.6, 0.8]])
     np.testing.assert_allclose(ends, [[0, 0, -1], [0, 0, 1]], rtol=0, atol=1e-12)
-
-
-def test_a_sun_seen_by_side_panels_only_is_known_to_an_arc():
-    """At z < 0 the side powers fix the azimuth only: the arc runs from the horizon to the nadir."""
+    # at z < 0 Philae's side powers fix the azimuth only: the arc runs from the horizon to the nadir
     n = np.array([0.7, -0.3, -0.5]) / np.linalg.norm([0.7, -0.3, -0.5])
-    sun = ss.sun_directions(PHILAE, panel_power(PHILAE, n[None]), lit_threshold=1e-9)
-    arc = sun["sun_arc_B"].values[0]
     azimuth = np.array([0.7, -0.3, 0]) / np.linalg.norm([0.7, -0.3, 0])
-    ends = sorted(arc.tolist(), key=lambda end: end[2])
+    ends = arc_ends(PHILAE, panel_power(PHILAE, n[None]))
     np.testing.assert_allclose(ends, [[0, 0, -1], azimuth], atol=1e-9)
 
 
@@ -202,45 +197,25 @@ def test_degenerate_panels_give_no_direction(normals):
     assert sun["delta"].values[sun["n_lit"].values > 0].max() < 1e-9
 
 
-NOISE, N = 1.5, 3000
-
-
-def distances(assumed=PHILAE, noise=NOISE, offset=0.0, seed=0):
-    """Squared distance (n) of the truth in the stated tangent covariance: chi-square of two degrees of freedom if all is right."""
-    rng = np.random.default_rng(seed)
-    sun = rng.normal(size=(N, 3))
+def test_direction_covariance_covers_over_all_directions():
+    """Squared distance of the truth in the stated tangent covariance: chi-square of two degrees of freedom."""
+    rng, noise = np.random.default_rng(0), 1.5
+    sun = rng.normal(size=(3000, 3))
     sun /= np.linalg.norm(sun, axis=1)[:, None]
     power = ss.panel_power(PHILAE, sun)
     power = power[clear := (power > 0).sum(axis=1) >= 3]
-    power = np.where(power > 0, power + rng.normal(size=power.shape) * NOISE + offset, 0.0)
+    power = np.where(power > 0, power + rng.normal(size=power.shape) * noise, 0.0)
     least = np.where(power != 0, power, np.inf).min(axis=1)
-    enough = least > 6 * NOISE  # grazing panels are no longer linear
-    found = ss.sun_directions(assumed, power, noise=noise, lit_threshold=3 * NOISE)
+    enough = least > 6 * noise  # grazing panels are no longer linear
+    found = ss.sun_directions(PHILAE, power, noise=noise, lit_threshold=3 * noise)
     use = is_reconstructed(found["status"]) & enough
-    truth = sun[clear][use]
     told = found["sun_B"].values[use]
-    covariance = found["sun_cov_B"].values[use]
     basis = np.linalg.svd(told[:, None, :])[2][:, 1:]
-    tangent = np.einsum("nai,nij,nbj->nab", basis, covariance, basis)
-    error = np.einsum("nai,ni->na", basis, truth - told)
-    return np.einsum("na,nab,nb->n", error, np.linalg.inv(tangent), error)
-
-
-def distance_of_laws(**change) -> float:
-    """Kolmogorov's distance of the distances' distribution from the chi-square law."""
-    return float(kstest(distances(**change), chi2(2).cdf).statistic)
-
-
-def test_direction_covariance_covers_over_all_directions():
-    found = distances()
-    assert len(found) > 300
+    tangent = np.einsum("nai,nij,nbj->nab", basis, found["sun_cov_B"].values[use], basis)
+    error = np.einsum("nai,ni->na", basis, sun[clear][use] - told)
+    square = np.einsum("na,nab,nb->n", error, np.linalg.inv(tangent), error)
+    assert len(square) > 300
     for level in (0.5, 0.68, 0.95):
-        held = np.mean(found < chi2(2).ppf(level))
-        assert held == pytest.approx(level, abs=4 * np.sqrt(level * (1 - level) / len(found)))
-    assert distance_of_laws() < 1.95 / np.sqrt(len(found))  # the 0.1 % point
-
-
-def scaled(factor):
-    first, second, third, *others = PHILAE.panels
-    changed = replace(third, gain=third.gain * factor)
-    return replace(PHILAE, panels=[first, second, changed, *others])
+        held = np.mean(square < chi2(2).ppf(level))
+        assert held == pytest.approx(level, abs=4 * np.sqrt(level * (1 - level) / len(square)))
+    assert kstest(square, chi2(2).cdf).statistic < 1.95 / np.sqrt(len(square))  # the 0.1 % point

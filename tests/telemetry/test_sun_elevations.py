@@ -78,11 +78,20 @@ def test_sun_directions_from_noisy_elevations_are_as_good_as_their_errors_say(tm
 
 
 def test_the_noise_of_elevations_is_that_of_the_readings_in_rad_times_gain():
+    """Keys of electrical readings do not go with angles."""
     vehicle = parse_vehicle(VEHICLE, "test")
     np.testing.assert_allclose(vehicle.input_noise, np.radians(1.0) * np.arange(1, 7))
     text = VEHICLE.replace('"elevation_deg"', '"cosine"').replace("noise = 1.0", "noise = 0.02")
     cosines = parse_vehicle(text, "test")
     np.testing.assert_allclose(cosines.input_noise, 0.02 * np.arange(1, 7))
+    where = "noise = 1.0\n"
+    for key in ("throttled = true", "lit_threshold = 0.1", 'voltage_column = "u"'):
+        says = f"telemetry.{key.partition(' ')[0]} is for powers and currents"
+        with pytest.raises(VehicleError, match=says):
+            parse_vehicle(VEHICLE.replace(where, f"{where}{key}\n"), "test")
+    channel = '[[channel]]\nname = "x"\npanels = ["p0", "p3"]\nreads = "sum"'
+    with pytest.raises(VehicleError, match="a channel reads powers or currents"):
+        parse_vehicle(VEHICLE + channel, "test")
 
 
 @pytest.mark.parametrize(
@@ -111,25 +120,6 @@ def test_elevations_in_radians_are_refused_with_the_scale_that_helps(tmp_path):
     path = write(tmp_path / "angles.csv", np.radians(ELEVATIONS))
     with pytest.raises(TelemetryError, match=r"do not look like degrees.*scale = 57\.29578"):
         ss.read_telemetry(path, parse_vehicle(VEHICLE, "test"))
-
-
-@pytest.mark.parametrize(
-    ("key", "says"),
-    [
-        ("throttled = true", "telemetry.throttled is for powers and currents"),
-        ("lit_threshold = 0.1", "telemetry.lit_threshold is for powers and currents"),
-        ('voltage_column = "u"', "telemetry.voltage_column is for powers and currents"),
-        (
-            '[[channel]]\nname = "x"\npanels = ["p0", "p3"]\nreads = "sum"',
-            "a channel reads powers or currents",
-        ),
-    ],
-)
-def test_keys_of_electrical_readings_do_not_go_with_angles(key, says):
-    where = "noise = 1.0\n"
-    text = VEHICLE + key if key.startswith("[[") else VEHICLE.replace(where, where + key + "\n")
-    with pytest.raises(VehicleError, match=re.escape(says)):
-        parse_vehicle(text, "test")
 
 
 def test_check_says_how_angles_are_read_and_stored_telemetry_is_not_converted_again(

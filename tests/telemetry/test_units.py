@@ -37,15 +37,6 @@ def judged(text: str, telemetry) -> list:
     return assess(vehicle, ss.read_telemetry(telemetry, vehicle)).wrong_units
 
 
-@pytest.fixture(
-    params=[(make, seed) for make in MAKERS for seed in (1, 2)],
-    ids=lambda p: f"{p[0].__name__}-{p[1]}",
-)
-def satellite(request, tmp_path):
-    make, seed = request.param
-    return make(tmp_path, np.random.default_rng(seed))
-
-
 @pytest.mark.parametrize("rows", [8, 20])
 @pytest.mark.parametrize("make", MAKERS)
 def test_at_most_one_of_a_hundred_small_files_in_shadow_is_called_a_wrong_unit(
@@ -81,23 +72,32 @@ def with_scale(text: str) -> str:
     return text if has else text.replace("[telemetry]", "[telemetry]\nscale = 1.0")
 
 
-def test_files_in_the_right_unit_get_no_warning(satellite):
-    assert judged(satellite.vehicle.read_text(), satellite.telemetry) == []
-
-
-@pytest.mark.parametrize("factor", [1e3, 1e-3])
-def test_readings_off_by_a_factor_of_a_thousand_are_named(satellite, factor):
-    text = with_scale(satellite.vehicle.read_text())
+@pytest.mark.parametrize("make", MAKERS)
+def test_readings_off_by_a_factor_of_a_thousand_are_named(make, tmp_path):
+    """Instead of `no panel lit`; a file in the right unit gets no warning."""
+    made = make(tmp_path, np.random.default_rng(1))
+    assert judged(made.vehicle.read_text(), made.telemetry) == []
+    text = with_scale(made.vehicle.read_text())
     right = parse_vehicle(text, "v.toml").telemetry.scale
-    (found,) = judged(changed(text, "telemetry", "scale", factor), satellite.telemetry)
-    assert (found.table, found.key) == ("telemetry", "scale")
-    assert found.value == pytest.approx(right)
-    assert "1000 times" in str(found) and "scale" in str(found)
+    for factor in (1e3, 1e-3):
+        wrong = changed(text, "telemetry", "scale", factor)
+        vehicle = parse_vehicle(wrong, "v.toml")
+        samples = ss.read_telemetry(made.telemetry, vehicle)
+        (found,) = assess(vehicle, samples).wrong_units
+        assert (found.table, found.key) == ("telemetry", "scale")
+        assert found.value == pytest.approx(right)
+        assert "1000 times" in str(found) and "scale" in str(found)
+        texts = {str(text) for text in panel_quality(vehicle, samples)["why"].values}
+        assert any("1000 times" in text for text in texts)
+        assert "dropped: no panel lit" not in texts
+        assert "no panel lit" not in sun_directions(vehicle, samples)["status_text"].values
+        if make is satellite_files.six_faces and factor < 1:
+            with pytest.raises(ss.InputError, match="1000 times less.*set scale = 1 under"):
+                ss.rates(vehicle, samples)
 
 
 @pytest.mark.parametrize("key", ["scale", "voltage_scale"])
-@pytest.mark.parametrize("factor", [1e3, 1e-3])
-def test_a_wrong_unit_of_currents_or_of_voltages_is_named(tmp_path, key, factor):
+def test_a_wrong_unit_of_currents_or_of_voltages_is_named(tmp_path, key):
     """The product tells that one is, and not which: no value is put into anybody's mouth."""
     made = satellite_files.six_faces(tmp_path, np.random.default_rng(1))
     lines = [line for line in made.telemetry.read_text().splitlines() if not line.startswith("#")]
@@ -107,46 +107,22 @@ def test_a_wrong_unit_of_currents_or_of_voltages_is_named(tmp_path, key, factor)
         "[telemetry]", '[telemetry]\nvoltage_column = "bus"\nvoltage_scale = 1.0'
     )
     assert judged(text, path) == []
-    (found,) = judged(changed(text, "telemetry", key, factor), path)
-    assert found.key == "scale or voltage_scale"
-    assert found.value is None
-    assert "check scale or voltage_scale" in str(found)
+    for factor in (1e3, 1e-3):
+        (found,) = judged(changed(text, "telemetry", key, factor), path)
+        assert (found.key, found.value) == ("scale or voltage_scale", None)
+        assert "check scale or voltage_scale" in str(found)
 
 
-@pytest.mark.parametrize("factor", [1e3, 1e-3])
-def test_a_wrong_unit_is_named_instead_of_no_panel_lit(satellite, factor):
-    text = changed(with_scale(satellite.vehicle.read_text()), "telemetry", "scale", factor)
-    vehicle = parse_vehicle(text, "v.toml")
-    samples = ss.read_telemetry(satellite.telemetry, vehicle)
-    texts = {str(text) for text in panel_quality(vehicle, samples)["why"].values}
-    assert any("1000 times" in text for text in texts) and "dropped: no panel lit" not in texts
-    assert "no panel lit" not in sun_directions(vehicle, samples)["status_text"].values
-
-
-def test_rates_name_the_wrong_unit(tmp_path):
-    made = satellite_files.six_faces(tmp_path, np.random.default_rng(1))
-    text = changed(with_scale(made.vehicle.read_text()), "telemetry", "scale", 1e-3)
-    vehicle = parse_vehicle(text, "v.toml")
-    with pytest.raises(ss.InputError, match="1000 times less.*set scale = 1 under"):
-        ss.rates(vehicle, ss.read_telemetry(made.telemetry, vehicle))
-
-
-@pytest.mark.parametrize("factor", [180 / np.pi, np.pi / 180])
-@pytest.mark.parametrize("seed", range(4))
-def test_a_gyro_in_degrees_or_radians_is_named(tmp_path, factor, seed):
-    made = satellite_files.wheeled(tmp_path, np.random.default_rng(seed), form="csv")
-    text = made.vehicle.read_text()
-    right = parse_vehicle(text, "v.toml").sensors.gyro.scale_rad_s
-    (found,) = judged(changed(text, "gyro", "scale_rad_s", factor), made.telemetry)
-    assert (found.table, found.key) == ("gyro", "scale_rad_s")
-    assert found.value == pytest.approx(right, rel=1e-3)
-
-
-@pytest.mark.parametrize("seed", range(4))
-def test_wrong_axes_of_a_gyro_are_named(tmp_path, seed):
+@pytest.mark.parametrize("seed", range(2))
+def test_a_gyro_in_degrees_or_radians_and_wrong_axes_of_a_gyro_are_named(tmp_path, seed):
     """As stated they are believed; in another order or with other signs they are named so that it turns the Sun as seen."""
     made = satellite_files.wheeled(tmp_path, np.random.default_rng(seed), form="csv")
-    vehicle = parse_vehicle(made.vehicle.read_text(), "v.toml")
+    text = made.vehicle.read_text()
+    vehicle = parse_vehicle(text, "v.toml")
+    for factor in (180 / np.pi, np.pi / 180):
+        (found,) = judged(changed(text, "gyro", "scale_rad_s", factor), made.telemetry)
+        assert (found.table, found.key) == ("gyro", "scale_rad_s")
+        assert found.value == pytest.approx(vehicle.sensors.gyro.scale_rad_s, rel=1e-3)
     samples = ss.read_telemetry(made.telemetry, vehicle)
     assert wrong_gyro_axes(assess(vehicle, samples)) is None
     rate, named, ways = samples["gyro_B"].values, 0, list(signed_axes())[1::5]
@@ -190,7 +166,7 @@ IN_TESLA = {"zero": np.array([2e-6, -1e-6, 3e-6]), "noise": 3e-7}
 IN_TESLA["dipole"] = np.array([0.3, 0.1, -0.2])
 
 
-@pytest.mark.parametrize("unit", [1.0, 1e3, 1e6, 1e9])
+@pytest.mark.parametrize("unit", [1.0, 1e9])
 @pytest.mark.parametrize(
     ("key", "at_fault"),
     [("zero", 1e3), ("noise", 1e6), ("noise", 1e-9), ("zero", 1e9), ("dipole", 1e6)],
@@ -217,22 +193,21 @@ def test_a_wrong_unit_of_a_magnetometer_is_named(tmp_path, unit, key, at_fault):
     assert [found.key for found in judge(right | {key: right[key] * at_fault})] == [key]
 
 
-@pytest.mark.parametrize("seed", range(20))
 @pytest.mark.parametrize("reach_deg", [40.0, 90.0])
-def test_a_sun_sensor_in_degrees_is_named(tmp_path, seed, reach_deg):
+def test_a_sun_sensor_in_degrees_is_named(tmp_path, reach_deg):
     """Also of a sensor that reads something while the Sun stands behind it."""
-    sun = np.random.default_rng(seed).normal(size=(60, 3))
-    across = np.abs(sun[:, 0]) if reach_deg < 90 else sun[:, 0]
-    angle = np.degrees(np.arctan2(sun[:, 1], across)) * reach_deg / 90
-    rows = [f"2026-01-01T00:00:{i:02d}Z,{angle[i]:.3f}" for i in range(60)]
-    path = tmp_path / "sun.csv"
-    path.write_text("\n".join(["time,sx", *rows]))
     wrong = MAGNETOMETER.format(zero=[0, 0, 0], noise=1, dipole=[0, 0, 0])
-    assert judged(wrong.replace("x_scale = 1.0", f"x_scale = {np.pi / 180}"), path) == []
-    (found,) = judged(wrong, path)
-    assert found.key == "x_scale"
-    assert found.value == pytest.approx(np.pi / 180)
-    assert "degrees read as radians" in str(found)
+    path = tmp_path / "sun.csv"
+    for seed in range(10):
+        sun = np.random.default_rng(seed).normal(size=(60, 3))
+        across = np.abs(sun[:, 0]) if reach_deg < 90 else sun[:, 0]
+        angle = np.degrees(np.arctan2(sun[:, 1], across)) * reach_deg / 90
+        rows = [f"2026-01-01T00:00:{i:02d}Z,{angle[i]:.3f}" for i in range(60)]
+        path.write_text("\n".join(["time,sx", *rows]))
+        assert judged(wrong.replace("x_scale = 1.0", f"x_scale = {np.pi / 180}"), path) == []
+        (found,) = judged(wrong, path)
+        assert found.key == "x_scale" and found.value == pytest.approx(np.pi / 180)
+        assert "degrees read as radians" in str(found)
 
 
 def test_the_line_to_change_is_found_for_a_key():

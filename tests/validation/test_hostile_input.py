@@ -13,6 +13,7 @@ from sunspin.base.errors import printable, sentence
 from sunspin.compute.rows import ensemble
 from sunspin.vehicle import Panel, Vehicle, Wheel
 from sunspin.vehicle.file import parse_vehicle
+from tests.support.rows import Waves
 from validation import pool
 from validation.border import CommandResult, judge, sunspin
 from validation.corrupt import Corrupt
@@ -37,10 +38,9 @@ def refused(*arguments, words=()):
     return told.err
 
 
-LONG = [pytest.param(suite, 30, marks=pytest.mark.long) for suite in (Fuzz, Corrupt)]
-
-
-@pytest.mark.parametrize(("suite", "n"), [(Fuzz, 20), *LONG])
+@pytest.mark.parametrize(
+    ("suite", "n"), [(Fuzz, 20), pytest.param(Corrupt, 20, marks=pytest.mark.long)]
+)
 def test_hostile_input_gives_a_result_or_one_sentence(suite, n, monkeypatch):
     monkeypatch.setattr("validation.fuzz.SEARCH_S", 0.5)
     with suite(seed=21, memory=None) as case:
@@ -138,9 +138,6 @@ def test_huge_or_nonsensical_vehicle_files_are_refused(text, said):
         body = text if text.startswith(("a", "name")) else f"name = 'v'\n[body]\n{text}"
         parse_vehicle(body, "v.toml")
     assert str(error.value).isprintable()
-
-
-def test_vehicles_with_too_many_parts_are_refused():
     with pytest.raises(ss.VehicleError, match="at most 32 panels"):
         Vehicle("many", panels=[Panel(str(k), [0, 0, 1], 1.0) for k in range(33)])
     with pytest.raises(ss.VehicleError, match="at most 8 wheels"):
@@ -181,16 +178,11 @@ AGES = [
 @pytest.mark.parametrize(("line", "words"), AGES)
 def test_what_would_take_ages_or_all_memory_is_refused_in_one_sentence(line, words, home):
     refused(*line.split(), words=words)
-
-
-def test_results_larger_than_memory_are_refused_with_an_estimate():
-    from tests.support.rows import Waves
-
     with pytest.raises(ss.InputError, match="GB of memory"):
         ensemble(Waves(n_rows=10**13))
 
 
-@pytest.mark.parametrize("value", ["nan", "inf", "1e308", "1e-308"])
+@pytest.mark.parametrize("value", ["nan", "1e308", "1e-308"])
 def test_infinite_or_extreme_numbers_are_refused_by_every_command(value, home):
     refused("simulate", "philae", *START, f"--duration={value}", words=["--duration", "number"])
     rate = f"--omega-deg-s=0,{value},0"
@@ -252,26 +244,21 @@ def test_compressed_tables_that_unpack_to_huge_sizes_are_refused(home, monkeypat
     refused("sun", "vehicle.toml", "bomb.nc", words=["GB of memory"])
 
 
-def test_a_file_that_is_no_scan_is_refused_in_one_sentence(home):
+def test_files_that_are_no_scan_no_kernels_or_no_frames_are_refused_in_one_sentence(home, undrawn):
     xr.Dataset({"emd": ("x", [1.0])}).to_netcdf("scan.nc", engine="h5netcdf")
     words = "outcomes vehicle.toml --scan=scan.nc --sun=0,0.6,0.8 --after=60"
     refused(*words.split(), words=["no scan"])
-
-
-def test_files_that_are_no_kernels_are_refused_in_one_sentence(home, undrawn):
-    pytest.importorskip("spiceypy")
-    assert sunspin("simulate", "philae", *START, "--duration=5", "--out=results").code == 0
-    given = "compare", "results", "--frame=X", "--epoch=2026-01-01T00:00:00Z"
-    refused(*given, ".", words=["--frame"])  # the folder itself
-    refused(*given, "telemetry.csv", words=["kernels cannot be used"])
-
-
-def test_an_archive_of_nameless_frames_is_refused(home):
+    # an archive of frames without names
     with zipfile.ZipFile("frames.zip", "w") as archive:
         archive.writestr("x", b"")
     data = (home / "frames.zip").read_bytes().replace(b"\x01\x00\x00\x00x", b"\x00\x00\x00\x00\x00")
     (home / "frames.zip").write_bytes(data)
     refused("decode", "frames.zip", words=["raw"])
+    pytest.importorskip("spiceypy")
+    assert sunspin("simulate", "philae", *START, "--duration=5", "--out=results").code == 0
+    given = "compare", "results", "--frame=X", "--epoch=2026-01-01T00:00:00Z"
+    refused(*given, ".", words=["--frame"])  # the folder itself
+    refused(*given, "telemetry.csv", words=["kernels cannot be used"])
 
 
 def test_a_netcdf_file_that_hangs_the_library_is_refused(home, monkeypatch):

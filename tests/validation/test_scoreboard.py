@@ -44,22 +44,16 @@ def board_of(rows):
     return json.loads(json.dumps(make_board({"rates: kind": numbered}, "abc", "quick", [0])))
 
 
-def counting(path, outcome):
-    path.write_text(str(int(path.read_text()) + 1 if path.exists() else 1))
-    return {"outcome": outcome}
-
-
 def test_rows_of_the_scoreboard_are_kept_and_a_traceback_is_a_defect(tmp_path):
-    count = tmp_path / "count"
     tasks = [
-        Task("rates", "kind", "0/1", partial(counting, count, "right")),
+        Task("rates", "kind", "0/1", partial(measured, "right", [], [])),
         Task("rates", "kind", "0/2", raising),
         Task("study", "rows", "all", several),
     ]
     said = []
     for _ in range(2):
         rows = run_tasks(tasks, tmp_path / "rows", 1, said.append)
-    assert count.read_text() == "1" and len(said) == 3
+    assert len(said) == 3  # each is computed once
     assert [row["outcome"] for row in rows["rates: kind"].values()] == ["right", "defect"]
     assert [rows["study: rows"][case]["outcome"] for case in ("a", "b")] == ["right", "wrong"]
     assert "a defect" in rows["rates: kind"]["0/2"]["says"]
@@ -93,54 +87,40 @@ def test_cases_that_got_worse_are_listed_first():
     assert "| rates: kind | 4 | 2 / 1 |" in text and "0: a | 0.5 / 0.5 |" in text
 
 
-def test_a_case_that_is_no_longer_run_is_named_unless_it_moved():
-    def of(*cases):
-        rows = {case: {"outcome": "open", "processor_s": 1.0} for case in cases}
-        return make_board({"study": rows}, "abc", "full", [0])
+def test_a_case_that_is_no_longer_run_and_a_truth_that_left_the_list_are_named():
+    """Unless the case moved to another level or set."""
 
-    before, now = of("kept", "gone", "contradiction_x"), of("kept")
-    assert missing_cases(before, now) == ["study, case gone: not run"]
-    assert missing_cases(before, now | {"level": "quick"}) == []
-    assert missing_cases(before, now | {"sets": {}}) == []
-
-
-def test_a_truth_that_left_the_list_is_named_and_the_table_counts_it():
     def of(*listed):
         rows = ({} if one is None else {"listed": one} for one in listed)
-        return board_of({"outcome": "open"} | row for row in rows)
+        return board_of({"outcome": "open"} | row for row in rows) | {"level": "full"}
 
-    before, now = of(True, True, False, None), of(True, False, False, None)
+    before, now = of(True, True, False, None), of(True, False, False)
+    assert missing_cases(before, now) == ["rates: kind, case 3: not run"]
+    assert missing_cases(before, now | {"level": "quick"}) == []
+    assert missing_cases(before, now | {"sets": {}}) == []
     assert lost_truths(before, now) == ["rates: kind, case 1: the truth is no longer listed"]
     assert not lost_truths(now, before)
     assert "| 2 of 3 / 1 of 3 |" in table(now, before)
 
 
-def outcome_of(monkeypatch, kind, **judged):
-    """Return the outcome of a pass that is judged so."""
-    row = {"wrong": False, "mirrored": True, "empty": False, "leads": True, "why": ""}
-    monkeypatch.setattr("validation.passes.judge", lambda *_: row | judged)
-    return _pass(kind, 0, 0)["outcome"]
-
-
 @pytest.mark.parametrize(
-    ("kind", "outcome"), [("right model", "wrong"), ("columns exchanged", "open")]
+    ("kind", "named", "rightly", "outcome"),
+    [
+        ("right model", [], False, "wrong"),
+        ("columns exchanged", [], False, "open"),
+        ("exchanged, six panels", ["the columns of +x and +y exchanged"], True, "right"),
+        ("exchanged, six panels", ["the columns of +x and +y exchanged"], False, "wrong"),
+    ],
 )
 def test_a_decided_mirror_solution_is_wrong_unless_columns_are_exchanged(
-    monkeypatch, kind, outcome
+    monkeypatch, kind, named, rightly, outcome
 ):
-    off = {"listed": False, "pull": 9.0, "off_deg_s": [1.0], "sigma_deg_s": [0.1]}
-    unnamed = {"named": [], "named_rightly": False}
-    assert outcome_of(monkeypatch, kind, decided=True, **off, **unnamed) == outcome
-
-
-@pytest.mark.parametrize(("rightly", "outcome"), [(True, "right"), (False, "wrong")])
-def test_a_named_exchange_of_columns_is_right_only_if_it_is_the_true_one(
-    monkeypatch, rightly, outcome
-):
-    off = {"listed": True, "pull": 0.5, "off_deg_s": [0.1], "sigma_deg_s": [0.1]}
-    named = {"named": ["the columns of panels +x and +y exchanged"], "named_rightly": rightly}
-    found = outcome_of(monkeypatch, "exchanged, six panels", decided=False, **off, **named)
-    assert found == outcome
+    """A named exchange of columns is right only if it is the true one."""
+    row = {"wrong": False, "mirrored": True, "empty": False, "leads": True, "why": ""}
+    row |= {"named": named, "named_rightly": rightly, "decided": not named, "listed": bool(named)}
+    row |= {"pull": 9.0, "off_deg_s": [1.0], "sigma_deg_s": [0.1]}
+    monkeypatch.setattr("validation.passes.judge", lambda *_: row)
+    assert _pass(kind, 0, 0)["outcome"] == outcome
 
 
 def test_a_changed_working_tree_has_another_state_than_its_commit(monkeypatch):

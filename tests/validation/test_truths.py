@@ -1,7 +1,6 @@
 """When a rate is wrong, when the truth is in a list of solutions, and how its density ranks among draws."""
 
 import numpy as np
-import pytest
 import xarray as xr
 
 from sunspin.cases import load_case
@@ -12,21 +11,16 @@ FAST, SLOW = np.radians([1.0, 0.0, 0.0]), np.radians([0.2, 0.0, 0.0])
 SHARP = np.radians([0.001, 0.001, 0.001])
 
 
-@pytest.mark.parametrize(
-    ("truth", "off_deg_s", "sigma_deg_s", "wrong"),
-    [
+def test_wrong_is_five_sigmas_and_a_tenth_of_a_degree_or_a_fifth_of_a_slow_rate():
+    for truth, off_deg_s, sigma_deg_s, wrong in (
         (FAST, 0.09, 0.001, False),  # many sigmas, and less than 0.1 deg/s
         (FAST, 0.11, 0.001, True),
         (FAST, 0.11, 0.03, False),  # fewer than five sigmas
         (SLOW, 0.05, 0.001, True),  # more than a fifth of a slow rate
         (SLOW, 0.03, 0.001, False),
-    ],
-)
-def test_wrong_is_five_sigmas_and_a_tenth_of_a_degree_or_a_fifth_of_a_slow_rate(
-    truth, off_deg_s, sigma_deg_s, wrong
-):
-    omega = truth + np.radians([0.0, off_deg_s, 0.0])
-    assert is_wrong(omega, np.radians(np.full(3, sigma_deg_s)), truth) is wrong
+    ):
+        omega = truth + np.radians([0.0, off_deg_s, 0.0])
+        assert is_wrong(omega, np.radians(np.full(3, sigma_deg_s)), truth) is wrong
 
 
 def test_a_truth_is_listed_if_any_printed_solution_contains_it():
