@@ -1,14 +1,18 @@
 """Exports read by SPICE, by another reader of the CCSDS message, by xarray and pyarrow. Telemetry is synthetic."""
 
+import json
+import re
 from xml.etree import ElementTree
 
 import numpy as np
 import pandas as pd
 import pytest
 import xarray as xr
+from click.testing import CliRunner
 from scipy.spatial.transform import Rotation
 
 import sunspin as ss
+from sunspin.cli import cli
 from sunspin.output.export import (
     LOCAL_FRAME,
     build_attitude,
@@ -17,7 +21,8 @@ from sunspin.output.export import (
     write_parquet,
 )
 from sunspin.output.export.aem import write_aem
-from sunspin.output.export.against import against_kernels
+from sunspin.output.export.against import against_kernels, against_message
+from sunspin.output.export.attitude_message import read_message
 from sunspin.output.export.ck import ephemeris_time, write_ck
 from sunspin.vehicle import Vehicle
 from tests.output.test_export_interpolation import by_spice
@@ -156,6 +161,55 @@ def test_a_comparison_with_kernels_finds_a_changed_motion(result, tmp_path, reac
     for path, message in (*cases, (tmp_path / "m.aem", "AEM. is no SPICE kernel")):
         with pytest.raises(ss.InputError, match=message):
             against_kernels(folder, [path], "SUNSPIN_BODY", "J2000", None)
+
+
+def test_a_comparison_with_an_attitude_message_finds_a_changed_motion(result, tmp_path, undrawn):
+    """Messages of the same motion agree with it in every form; that of another motion differs as the rates of both do."""
+    result = result.assign_attrs(celestial_frame="J2000")
+    folder = result.sunspin.save(tmp_path / "results")
+    known = build_attitude(result, "J2000", dense=True)
+    text = write_aem(tmp_path / "1.aem", known).read_text()
+    first = re.sub(r"^(20\S+) (\S+ \S+ \S+) (\S+)$", r"\1 \3 \2", text, flags=re.M)
+    back = re.sub(r"^(20\S+ \S+ \S+ \S+) (\S+)$", r"\1 -\2", text, flags=re.M).replace("--", "")
+    forms = {
+        "2.0": write_aem(tmp_path / "2.aem", known, "2.0").read_text(),
+        "scalar first": first.replace("TYPE = LAST", "TYPE = FIRST"),
+        "B to A": back.replace("A2B", "B2A"),
+        "frames exchanged": back.replace("A = EME2000", "A = SC_BODY_1").replace(
+            "B = SC_BODY_1", "B = EME2000"
+        ),
+    }
+    for form, message in {"1.0": text, **forms}.items():
+        (tmp_path / "m.aem").write_text(message)
+        summary, line = against_message(folder, tmp_path / "m.aem")
+        assert summary["covered"] == 40, form
+        assert max(summary["rms_deg_s"]) < 0.01 and summary["largest_attitude_deg"] < 1e-3, form
+    other = ss.propagate(BODY, [0.021, -0.05, 0.03], [0.0, 0.6, 0.8], None, result["time"].values)
+    other = other.assign(pass_of=result["pass_of"]).assign_attrs(result.attrs)
+    write_aem(tmp_path / "m.aem", build_attitude(other, "J2000", dense=True))
+    done = CliRunner().invoke(cli, ["compare", str(folder), str(tmp_path / "m.aem"), "--json"])
+    off = np.degrees(other["omega_B"].values - result["omega_B"].values)
+    rms = np.sqrt((off**2).mean(axis=0))
+    assert json.loads(done.stdout)["rms_deg_s"] == pytest.approx(rms.tolist(), abs=0.01)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "says"),
+    [
+        ("CCSDS_AEM_VERS", "CCSDS_OEM_VERS", "not in KVN"),
+        ("TIME_SYSTEM = UTC", "TIME_SYSTEM = TAI", "not in UTC.*TAI"),
+        ("= QUATERNION", "= EULER_ANGLE", "no quaternions.*EULER_ANGLE"),
+        ("SC_BODY_1", "CAMERA", "must be the body's.*CAMERA"),
+        ("DATA_START", "DATA_START\n2026-01-01T00:00:00 0 0 1", "line 22.*four numbers"),
+        ("DATA_START", "DATA_START\n2099-01-01T00:00:00 0 0 0 1", "do not increase"),
+        ("DATA_", "DATUM_", "no segment"),
+    ],
+)
+def test_a_faulty_attitude_message_gives_one_sentence(old, new, says, result, tmp_path):
+    path = write_aem(tmp_path / "m.aem", build_attitude(result))
+    path.write_text(path.read_text().replace(old, new))
+    with pytest.raises(ss.InputError, match=says):
+        read_message(path)
 
 
 @pytest.mark.parametrize(
