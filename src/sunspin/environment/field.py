@@ -88,9 +88,9 @@ def field_map(jd: float, radius_m: tuple[float, float]) -> FieldMap:
 
 @lru_cache(maxsize=8)
 def _build_field_map(jd: float, low: float, high: float) -> FieldMap:
-    """Return the map for a Julian date and positions between two radii (m), on spheres at Chebyshev nodes of a / r.
+    """Return the map for a UTC Julian date and positions between the radii `low` and `high` (m).
 
-    B (r / a)^3 is smooth in a / r, so a few spheres suffice for a nearly circular orbit; an eccentric one gets more.
+    B (r / a)^3 is smooth in a / r: few spheres, at Chebyshev nodes of it, suffice for a circular orbit; an eccentric one gets more.
     """
     span = REFERENCE_M / low - REFERENCE_M / high
     spheres = 3 + int(np.ceil(12 * span))
@@ -101,6 +101,7 @@ def _build_field_map(jd: float, low: float, high: float) -> FieldMap:
     latitude, longitude = np.arange(90, -91, -STEP_DEG), np.arange(0, 360, STEP_DEG)
     coefficients = []
     for value in inverse:
+        # B (r / a)^3 (3, latitudes, longitudes), then continued by `POLE_ROWS` on all sides, so that splines have no boundary
         field = value**-3 * _compute_igrf(jd, REFERENCE_M / value, latitude, longitude)
         # rows beyond a pole repeat those before it, in reverse order, with the longitudes of the opposite meridian
         opposite = np.roll(field, len(longitude) // 2, axis=2)

@@ -135,14 +135,18 @@ def calibrate_sensors(
 
 
 def new_values(result: xr.Dataset) -> list[NewValue]:
-    """Return the new values of keys that a calibration determines, for :func:`sunspin.vehicle.rewrite.rewrite_values`."""
+    """Return the new values of keys of the vehicle file, for :func:`sunspin.vehicle.rewrite.rewrite_values`.
+
+    `result`: of :func:`calibrate_sensors`, with an entry for each component of a key. Keys that are not `written` are left out.
+    """
     values = []
     for name in dict.fromkeys(result["key"].values.tolist()):
         part = result.isel(quantity=np.flatnonzero(result["key"].values == name))
         if not part["written"].values.all():
             continue
-        table, _, rest = name.partition(".")  # table.key, or table.part.key
-        part_name, _, key = rest.rpartition(".")  # the name of a part may have dots
+        # magnetometer.zero is table.key, panel.PX.gain_W is table.part.key; the name of a part may have dots
+        table, _, rest = name.partition(".")
+        part_name, _, key = rest.rpartition(".")
         where = (table, part_name) if part_name else (table,)
         value, sigma = (_in_toml(part[column].values) for column in ("value", "sigma"))
         source = str(result.attrs["source"]).format(samples=int(part["samples"].values[0]))
@@ -257,10 +261,10 @@ def _fit_attributes(fitted: Calibration, orbit: Orbit) -> dict[str, Any]:
 def propagated(
     fitted: Calibration, quantity: Callable[[Calibration], np.ndarray]
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the value (m) of a function of the calibration, its sigma (m), and its sigma before the data (m).
+    """Return the m numbers that `quantity` computes from a calibration, their sigmas, and their sigmas before the data: (m) each.
 
-    Errors are propagated linearly: a covariance C of the unknowns becomes S C S^T, with the derivatives S (m, D) by differences.
-    The sigma is the larger one of those by the curvature and by the jackknife over passes.
+    Errors are propagated linearly: a covariance C of the unknowns becomes S C S^T, with the derivatives S (m, D) from differences.
+    A sigma is the larger one of that by the curvature and that by the jackknife over parts of the file.
     """
     value, columns = quantity(fitted), []
     for k, step in enumerate(SMALL * np.sqrt(np.diag(fitted.prior))):

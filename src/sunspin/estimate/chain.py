@@ -212,10 +212,10 @@ def equations(model: Model, motions: Track) -> BorderedSystem:
 
 
 def readings(model: Model, motions: Track) -> Iterator[tuple[Residual, np.ndarray]]:
-    """Yield the differences from the readings of each sensor, and the indices (m) of the unknowns to which their `by_u` belongs.
+    """Yield the predictions less readings of each term, and the indices (m) of its unknowns among those of the model.
 
-    Sensors other than the Sun's may be late: their readings are compared with the motion as it was that much earlier. If the
-    latency is estimated, it is appended to the unknowns of the sensor.
+    The readings of sensors other than the Sun's may be older than their sample. They are compared with the motion at the earlier
+    instant, but derivatives are by the states at the samples. If this latency is estimated, it is one more unknown of each sensor.
     """
     indices, earlier = np.arange(len(model.unknowns)), earlier_states(model, model.obs, motions)
     for term, u_slice in model.terms_with_slices:
@@ -226,10 +226,10 @@ def readings(model: Model, motions: Track) -> Iterator[tuple[Residual, np.ndarra
             continue
         for residual in term.residuals(earlier.states, u):
             at_sample, by_latency = earlier.derivatives_at_sample(residual)
-            if earlier.index is None:
+            if earlier.index is None:  # the latency is known exactly
                 yield at_sample, indices[u_slice]
                 continue
-            by_u = earlier.sigma_s * by_latency[..., None]
+            by_u = earlier.sigma_s * by_latency[..., None]  # by one sigma of the latency
             if at_sample.by_u is not None:
                 by_u = np.concatenate([at_sample.by_u, by_u], axis=-1)
             yield at_sample._replace(by_u=by_u), np.append(indices[u_slice], earlier.index)
@@ -562,33 +562,34 @@ def _step_between(
     end: list[int],
     derivatives: bool = False,
 ) -> Step:
-    """Propagate K motions from each of some samples `start`, with rates `omega` (K, samples, 3), to the samples `end`.
+    """Propagate K motions from each sample of `start` to that of `end` at the same place, later or earlier.
 
-    `inertia` (3, 3), or (K, 3, 3) of each motion, in mean moments; `derivatives` by turn and rate at the start are wanted.
+    `omega` (K, len(start), 3): rates at `start`, rad/s, B. `inertia`, in mean moments: (3, 3) of all motions, or (K, 3, 3) of each.
+    `derivatives`: whether to return those by turn and rate at the start too.
     """
     momenta = obs.momentum[start], obs.momentum[end]
     return step(inertia, omega, obs.t_s[end] - obs.t_s[start], momenta, derivatives)
 
 
 def fit_single_shooting(model: Model, sample: int, motions: Track, steps: int) -> Track:
-    """Return motions (K) at all samples whose attitude and rate at one `sample` are fitted in at most `steps` steps.
+    """Fit K motions by their attitude and rate at one `sample`, in at most `steps` steps, and return them at all samples.
 
-    All else follows by the equations of motion alone (single shooting). Steps of a multiple-shooting fit are short if samples are
-    close together: they are straight in the states of all samples, but motions that obey the equations of motion are curved. Here
-    a step changes six numbers, the other samples follow exactly, and it may be long. The model has no unknowns. The fit begins at
-    the states of `motions` at the sample.
+    The states at the other samples follow by the equations of motion (single shooting). So a step changes six numbers and may be
+    long. A multiple-shooting fit changes the states of all samples linearly, which violates the equations of motion; so its steps
+    must be short if samples are close together. The model has no unknowns. The fit begins at the states of `motions` at the sample.
     """
     n = len(model.obs)
     largest_rate = RATE_LIMIT * model.rate_sigma
 
     def linearise(state: tuple[np.ndarray, np.ndarray]) -> DenseSystem:
-        """Return cost and normal equations (K, 6, 6) of attitudes (K, 3, 3) and rates (K, 3) at the sample: readings and priors."""
+        """Return cost and normal equations (K, 6, 6) of readings and priors for attitudes (K, 3, 3), rates (K, 3) at the sample."""
         omega = state[1]
         k = len(omega)
         # motions at all samples, and their derivatives by turn and rate at the sample
         track = Track.free(np.empty((k, n, 3, 3)), np.empty((k, n, 3)))
         by_state = np.empty((k, n, 6, 6))
-        track.attitude[:, sample], track.omega[:, sample], by_state[:, sample] = *state, np.eye(6)
+        track.attitude[:, sample], track.omega[:, sample] = state
+        by_state[:, sample] = np.eye(6)
         _propagate_outward(model, track, sample, sample, by_state)
         previous_by_state = at_sample_before(by_state, axis=1)
         matrix, slope, cost = np.zeros((k, 6, 6)), np.zeros((k, 6)), np.zeros(k)
@@ -596,7 +597,7 @@ def fit_single_shooting(model: Model, sample: int, motions: Track, steps: int) -
             for residual in term.residuals(track, track.u):
                 cost_of_samples, weight = residual.law(residual.value)
                 cost += cost_of_samples.sum(axis=1)
-                # chain rule: by turn and rate at each sample, times these by the six numbers
+                # chain rule: derivative by turn and rate at each sample, times the derivative of these by the six numbers
                 derivative = sum(
                     by_sample @ sample_by_state[..., rows, :]
                     for by_sample, sample_by_state, rows in (

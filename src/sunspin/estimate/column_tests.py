@@ -596,13 +596,13 @@ def advice_to_set(table: str, keys: Mapping[str, Any]) -> str:
 
 
 def changes_of_sensor(vehicle: Vehicle, name: str) -> list[ColumnChange]:
-    """Return the ways to read the sensor of the telemetry variable `name`, the one that the vehicle file states first.
+    """Return all ways to read the sensor whose telemetry variable is `name`; the first is the way that the vehicle file states.
 
-    They are the 48 signed permutations of its axes, or the four conventions of a quaternion.
+    A sensor with three axes has 48, their permutations with signs. A quaternion has four: where its scalar is, and its direction.
     """
     table = next(table for table, variable in VARIABLES.items() if variable == name)
     sensor = vehicle.sensors.with_columns[table]
-    # each way in words, with the matrix by which values are multiplied and the keys of the vehicle file
+    # each way: in words, the matrix by which readings are multiplied, and the keys of the vehicle file that state it
     if isinstance(sensor, Attitude):
         ways = list(_quaternion_conventions(sensor))
     else:

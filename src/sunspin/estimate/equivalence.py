@@ -63,8 +63,8 @@ class ColumnChange:
     """One way in which columns, signs or axes of a vehicle file may be wrong.
 
     `what`: in words. `columns`: input k reads the column `columns[k]`; if empty, the one that the file states. `reversed_panels`,
-    `reversed_wheels`: numbers of panels and wheels with the opposite normal or axis. `axes`: variable of telemetry -> matrix (3, 3)
-    by which its readings are multiplied. `do`: what to write in the file, in words; `errors`: number of mistakes in the file.
+    `reversed_wheels`: numbers of panels and wheels with the opposite normal or axis. `axes`: variable of telemetry -> matrix by
+    which its readings are multiplied, (3, 3), of a quaternion (4, 4). `do`: what to write in the file, in words; `errors`: number of mistakes in the file.
     """
 
     what: str

@@ -63,29 +63,29 @@ def ladder(
 ) -> list[Fit]:
     """Fit motions of a model under every strength of unknown torques; return one fit for each rung that is reached.
 
-    A rung is one strength, rad/s^1.5. The rungs from `first_rung` up come first, then those below it, downward. Each fit begins
-    where the one before ended, since a motion hardly moves in a fit under weak torques. A path, up or down, ends with a rung whose
-    best motion has a log evidence `s.hopeless` below that of the best rung, or below `rival`, that of another model.
-    `search_settings`: which motions are copies of each other, and how many are kept.
+    A rung is one strength, rad/s^1.5. The path up fits `first_rung` and the rungs above it, then the path down fits those below.
+    Each fit begins where the one before ended, since a motion hardly moves in a fit under weak torques. A path ends at a hopeless
+    rung: the log evidence of its best motion is more than `s.hopeless` below that of the best rung so far, or below `rival`, that
+    of another model. `search_settings`: which motions are copies of each other, and how many are kept.
 
-    If a stronger rung makes the first one hopeless, the fit on the first may have ended on its way to a minimum. The path down then
-    begins at the highest rung reached, and fits all rungs below it again. Without this a wrong motion was decided. The true one, of
-    a body with products of inertia that its file stated as zero, cost 196 on the first rung, 24 on the next, and 229 below the
-    first; its alias had come down from strong torques, and cost less.
+    If the first rung is hopeless compared with those above, its fit may have stopped short of the minimum. Then the path down
+    begins at the highest rung reached, and fits all rungs below it again. Without this an alias was decided in one pass, whose file
+    stated products of inertia as zero that were not. The true motion cost 196 on the first rung, 24 on the next, 229 below; the
+    alias, fitted downward from strong torques, cost less.
     """
     if not len(motions):
         return []
     first, first_summed = _fit_and_select(
         model.under(first_rung), motions, s.first_steps, s, search_settings
     )
-    # by rung; the first strength need not be a rung of the list: then its fit is only a beginning
+    # fits by rung; if `first_rung` is not in `s.rungs`, its fit is only a beginning for the others
     fits = {first_rung: first_summed} if first_rung in s.rungs and len(first) else {}
 
     def fit_path(path: Sequence[float], begin: Fit, begin_rung: float) -> tuple[Fit, float]:
         """Fit the rungs of `path` one after the other and add the fits to `fits`; return the last fit and its rung.
 
-        The first begins at the motions of `begin`, the fit on `begin_rung`; each other begins where the fit before it ended. The
-        fits in `fits` are summed over the possible sizes of their prior sigmas (`sum_over_shares`); the returned one is not.
+        The first fit begins at the motions of `begin`, the fit on `begin_rung`; each other begins where the one before ended. For
+        `fits` they are summed over the possible sizes of their prior sigmas (`sum_over_shares`), for the return value they are not.
         """
         last, last_rung = begin, begin_rung
         for rung in path:

@@ -401,11 +401,10 @@ def _coast_from_s(telemetry: xr.Dataset) -> float:
 
 
 def wheel_models(vehicle: Vehicle, telemetry: xr.Dataset) -> dict[str, np.ndarray]:
-    """Return what the wheels may do: name -> total momentum (n, 3) of the wheels at each sample, in body axes.
+    """Return the possible motions of the wheels, by name: the sum of their momenta (n, 3) at the n samples, in body axes.
 
-    It is divided by the mean moment of inertia of the body: rad/s. The names and their order are those of :func:`wheel_speeds`:
-    measured alone, or held first, then coasting with each friction. Without wheels or without an inertia the only name is "none",
-    with zero momentum.
+    It is divided by the mean moment of inertia of the body: rad/s. The names are those of :func:`wheel_speeds`: one if speeds are
+    measured; else held, then coasting with each friction. Without wheels or an inertia the only name is "none", with zeros.
     """
     t_s = np.asarray(telemetry["time"], dtype=np.float64)
     if vehicle.inertia_kg_m2 is None or not vehicle.wheels:

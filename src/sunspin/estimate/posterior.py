@@ -359,15 +359,16 @@ def nominal_explains(mix: Mixture, settings: PosteriorSettings) -> bool:
 
 
 def _nothing_drawn(model: LanderModel) -> InputError:
-    """Return the error for a nominal model all of whose draws have the weight zero.
+    """Return the error to be raised if all draws of the nominal `model` have the weight zero.
 
-    It advises a smaller sigma of the inertia if most of the prior describes bodies that cannot exist, else a higher largest rate.
+    A draw has the weight zero if its body cannot exist or its rate exceeds the largest. If most of the prior describes bodies that
+    cannot exist, the error advises a smaller sigma of the inertia, else a higher largest rate.
     """
-    possible = np.exp(model.log_possible)  # part of the prior
+    possible = np.exp(model.log_possible)  # part of the prior whose bodies can exist
     if possible < FEW_BODIES:
 
         def with_inertia_sigma(sigma: float) -> LanderModel:
-            """Return the model with this relative sigma of all moments of inertia."""
+            """Return the model in which each element of the inertia has this sigma, relative to the element."""
             unknowns = (
                 replace(x, sigma=sigma * abs(x.centre)) if x.kind == "inertia" else x
                 for x in model.of_motion
@@ -382,7 +383,7 @@ def _nothing_drawn(model: LanderModel) -> InputError:
             do=f"give --prior inertia={next(advised, ADVISED_SIGMAS[-1]):g}, or smaller sigmas in the vehicle file",
         )
     return InputError(
-        "the motion that fits best lies at the end of what the priors allow, and next to nothing of it within",
+        "the motion that fits best is at the limit of what the priors allow, and no draw around it lies within",
         got=f"max_rate_rad_s {model.max_rate:.3g}",
         do=f"give --prior max_rate_rad_s={2 * model.max_rate:.2g}",
     )

@@ -476,14 +476,16 @@ def left_open_by_search(
     effort: float,
     settings: RatesSettings,
 ) -> tuple[list[str], dict[str, float]]:
-    """Return why the search of each pass may be incomplete and what would help, in words; and attributes that count such passes.
+    """Return for each pass in words why its search may be incomplete and what would help; and attributes that count such passes.
 
-    The search was cut short; its starts were too coarse for the largest rate; the speed of a wheel is unknown; gains are, and only
-    the Sun is measured; or the torques are stronger than those of nearly any satellite. Then a body without an inertia that was
-    taken for a sphere is none, which torques also show that turn it far between two samples, as a nutation does. If the inertia is
-    stated, no wheel is, and only the Sun is measured, a wheel may run: of 10 files that lack a wheel with 0.1 to 2 times the
-    momentum of the body three were decided and wrong, two of them under such torques. `result`: names wheels and panels with
-    unknown values.
+    `result`: its attributes name wheels and panels with unknown values. The reasons (torques only if their strength is estimated):
+
+    - the search was cut short by the budget, or its starts were too coarse for the largest rate;
+    - the inertia is unknown, the body is taken for a sphere, and the torques are stronger than on nearly any satellite or turn the
+      body far between two samples: the nutation of a body that is no sphere looks like such torques;
+    - the inertia is stated, no wheel is, only the Sun is measured, and the torques reach `WHEEL_STRENGTH`: a wheel may run. Of 10
+      files that lack a wheel with 0.1 to 2 times the momentum of the body three were decided and wrong, two under such torques;
+    - the speed of a wheel is unknown, or the gain of a panel is and only the Sun is measured.
     """
     wheels, gains = result.attrs["wheels_untold"], result.attrs["gains_unknown"]
     strength_estimated = len(settings.ladder.rungs) > 1  # a stated one is the only rung

@@ -177,9 +177,10 @@ def _attributes(
 
 
 def _curves(solved: Sequence[Solutions], nominal: Model) -> dict[str, Any]:
-    """Return the variables on `curve_time` (s): the best motion of each pass at evenly spaced instants, between the samples too.
+    """Return the variables on `curve_time` (s), from which figures draw curves: the best motion of each pass at even intervals.
 
-    Rates and their sigmas are in rad/s, body axes; one pass follows the other. `solved`: the solutions of each pass.
+    Rates and their sigmas are in rad/s, body axes. `solved`: the solutions of each pass, the best first; `curve_pass_of` indexes
+    it. `nominal`: its samples are replaced by those of each pass.
     """
     times, tracks = [], []
     for of_pass in solved:
@@ -187,6 +188,7 @@ def _curves(solved: Sequence[Solutions], nominal: Model) -> dict[str, Any]:
         instants, track = curve(model, of_pass.track.take(slice(0, 1)), float(of_pass.noise[0]))
         times.append(instants)
         tracks.append(track)
+    # of the only motion in each track, all passes in one array
     attitude, omega, covariance = (
         np.concatenate([getattr(track, name)[0] for track in tracks])
         for name in ("attitude", "omega", "covariance")

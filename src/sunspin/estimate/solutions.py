@@ -128,20 +128,20 @@ def solutions(
 def _weighted_motions(fits: PassFits, s: SolutionSettings) -> list[WeightedMotion]:
     """Return the motions of all fits with their probabilities, the most probable first, without those that hardly count.
 
-    A motion's probability follows from its log evidence and the prior of its strength of torques (rung). It is computed under two
-    priors of the rate: the normal prior of `Model.rate_sigma`, in which slow rates are rare; and a mean of that and of narrower
-    ones (`s.slower`), in which they are about as likely as fast ones. Aliases fit alike, so the prior alone would choose between
-    them. Therefore the larger of the two probabilities counts, normalised again: no motion is dismissed by one prior alone. Left
-    out are motions of less than `s.counted` times the largest probability.
+    A motion's probability is in proportion to its evidence times the prior of its strength of torques (rung). It is computed under
+    two priors of the rate. The first is normal with the sigma `Model.rate_sigma`: slow rates are rare. The second is the mean of
+    normal ones with sigmas from that down (`s.slower`): slow rates are about as likely as fast ones. Aliases fit equally well, so
+    one prior alone would choose between them. Therefore the larger of the two probabilities counts, and these are normalised
+    again. Motions with less than `s.counted` times the largest are left out.
     """
-    # logs of evidence times prior of the rung, an array (K) for each fit: under the first prior of the rate, then under the second
+    # for each fit the log (K) of evidence times prior of the rung: under the first prior of the rate, then under the second
     log = [fitted.log_evidence + fits.log_rung[fits.rung(fitted)] for fitted in fits.fits]
     log_any_speed = [
         part + _gain_of_any_speed(fitted, s) for part, fitted in zip(log, fits.fits, strict=True)
     ]
     # the motions of all fits in one row, under each of the two priors
     under_priors = np.concatenate(log), np.concatenate(log_any_speed)
-    weights = np.max([np.exp(part - logsumexp(part)) for part in under_priors], axis=0)
+    weights = np.max([np.exp(each - logsumexp(each)) for each in under_priors], axis=0)
     weights = weights / weights.sum()
     motions = [fitted.take(slice(k, k + 1)) for fitted in fits.fits for k in range(len(fitted))]
     order = np.argsort(-weights, kind="stable")

@@ -79,11 +79,11 @@ class PairStarts(NamedTuple):
 def pair_starts(
     model: Model, s: SearchSettings, slowest: float = 0.0
 ) -> Iterator[tuple[slice, Track]]:
-    """Yield windows of samples, each with the motions from which a search may begin there; the most promising window first.
+    """Yield windows of samples, each with the motions from which a search may begin there; that of the best pair of samples first.
 
-    A window is a pair of neighbouring samples and a few around it. The starts of the pair, rates that take the Sun from its first
-    sample to the second, are compared with all samples of the window, and the best are fitted there. `model`: that of the search,
-    without unknowns. `slowest` (rad/s): slower rates are left out.
+    A window is a pair of neighbouring samples and `s.around` on either side. Starts are rates that take the Sun from the first
+    sample of the pair to the second. They are compared with all samples of the window, and the best are fitted to them. `model`:
+    that of the search, without unknowns. `slowest` (rad/s): slower rates are left out.
     """
     pairs = _ordered_pairs(model)
     gyro_suffices = gyro_decides(model, pairs[0])
@@ -100,7 +100,7 @@ def pair_starts(
         if not len(pair.omega):
             continue
         motions = _best_starts(around, sample, pair, s.tried[2])
-        # three fits, each with smaller errors of the readings: at first a start may be as far off as the starts are apart
+        # three fits, each with smaller errors of the readings: they allow for starts that are off by this share of their spacing
         for share in (1.0, 0.3, 0.0):
             loose = _loosen_terms(around, sample, share * pair.apart_rad)
             motions = fit_single_shooting(loose, sample, motions, 4)
@@ -367,14 +367,14 @@ def _momenta(
 
 
 def _alias_step(model: Model, s: AlternativeSettings) -> float | None:
-    """Return by how much (rad/s) one revolution more between the closest two samples changes the rate.
+    """Return the change of the rate (rad/s) that makes one revolution more between the two samples that are closest in time.
 
-    None if that makes no whole revolutions between other samples, or a gyro excludes it.
+    None if it does not make about whole revolutions between all other samples, or if a gyro determines the rate.
     """
     dt = np.diff(model.obs.t_s)
     first = int(np.argmin(dt))
-    part_of_revolution = dt / dt[first] - np.round(dt / dt[first])
-    uneven_rad = 2 * np.pi * np.abs(part_of_revolution).max()
+    revolutions = dt / dt[first]  # that the change adds in each interval
+    uneven_rad = 2 * np.pi * np.abs(revolutions - np.round(revolutions)).max()
     if uneven_rad >= s.even_rad or gyro_decides(model, first):
         return None
     return float(2 * np.pi / dt[first])
@@ -471,9 +471,13 @@ def _loosen_terms(model: Model, sample: int, apart_rad: float) -> Model:
 
 
 def _best_starts(model: Model, sample: int, pair: PairStarts, most: int) -> Track:
-    """Return the `most` starts at `sample` that fit all samples of the model best, the slowest among them, propagated to all."""
+    """Return the `most` starts at `sample` that fit all samples of the model best, as motions at all these samples.
+
+    Readings are given errors as large as the starts are apart. The slowest start is always kept, as a slow body is lost without it.
+    """
     loose = _loosen_terms(model, sample, pair.apart_rad)
     tracks, costs_of_parts = [], []
+    # in parts, to limit the memory: the best of each part, and below the best of these
     for part in np.array_split(np.arange(len(pair.omega)), 1 + len(pair.omega) // STARTS_AT_ONCE):
         rates = pair.omega[part]
         track = propagate(model, sample, facing(pair.sun_B[part]), rates)

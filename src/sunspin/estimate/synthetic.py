@@ -129,10 +129,10 @@ def synthetic_telemetry(
 
 
 def full_signal_scale(vehicle: Vehicle) -> float:
-    """Return the signal of a panel of gain 1 in full Sun.
+    """Return the signal of a panel of gain 1 in full Sun, in the unit of the readings.
 
-    It is 1 if gains have a unit or the vehicle file states no noise. Otherwise the noise of the input with the largest gain is the
-    part `NOISE` of its signal in full Sun.
+    It is 1 if gains have a unit, or if the vehicle file states no noise. Otherwise gains are relative and noise is in the unit of
+    the readings: the noise of the input with the largest gain is then taken as `NOISE` times its signal in full Sun.
     """
     noise, gains = vehicle.input_noise, vehicle.input_gains
     if vehicle.gain_unit is not None or noise is None:

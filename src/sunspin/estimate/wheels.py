@@ -75,9 +75,10 @@ class Reversed:
 def decide_wheels(
     assessment: Assessment, nominal: Model, passes: Sequence[Pass], fitter: PassFitter
 ) -> DecidedWheels:
-    """Return what the wheels do: of the possible models the one under which the longest passes have the largest evidence.
+    """Return what the wheels do: of the models of :func:`wheel_models` that under which the longest passes have most evidence.
 
-    `nominal`: the nominal model of the whole file, with any momentum of the wheels.
+    `nominal`: the nominal model of the whole file, with any momentum of the wheels. InputError if wheels turn the rate too far
+    between two samples, or if no model allows a motion.
     """
     momenta = wheel_models(assessment.vehicle, assessment.telemetry)  # by name
     for a_pass in passes:
@@ -106,7 +107,7 @@ def decide_wheels(
     ]
     jobs = [(name, k) for name in momenta if name not in alike for k in compared]
     fits = dict(zip(jobs, fitter.fits_if_any([models[job] for job in jobs]), strict=True))
-    # of each pass the motions under the first model; None if it allows none
+    # for each pass the motions under the first model, from which fits begin; None, for a search, if it allows none
     begin: dict[int, Track | None] = dict.fromkeys(compared)
     for k in compared:
         of_first = fits[first, k]
@@ -122,7 +123,7 @@ def decide_wheels(
         for job, pass_fits in fits.items()
     }
     if not np.isfinite(list(evidence.values())).any():
-        # no model allows a motion: the estimate raises the error that says why
+        # no model allows a motion in any pass: this estimate fails again, and raises the error that says why
         one_pass(models[first, compared[0]], fitter.settings, fitter.budget)
     total = {name: sum(evidence[name, k] for k in compared) for name in momenta}
     best, second = sorted(total, key=lambda name: total[name], reverse=True)[:2]

@@ -59,14 +59,14 @@ def predict_through_collision(
     collision: Collision = STICKS,
     workers: int | None = None,
 ) -> xr.Dataset:
-    """Predict the motion as :func:`sunspin.estimate.lander.predict.predict` does, through the collision of the built-in case.
+    """Predict the motion as :func:`sunspin.estimate.lander.predict.predict` does, also through the collision of a built-in case.
 
     Parameters
     ----------
     tree : DataTree
         A posterior.
     times_s : (n_t)
-        Times of the predictions, s from the epoch. At the instant of the collision the motion before it is returned.
+        Times of the predictions, s from the epoch. A time equal to that of the collision gives the motion just before it.
     seed : int
         Seed of the legs that hit and of the directions of the impact.
     timeline : Timeline, optional
@@ -93,7 +93,7 @@ def predict_through_collision(
         parts.append(predictions(motions, motions.at(before_s, workers), before_s))
     if impact_s is not None and later.any():
         rows, at_impact = motions.rows, motions.at([impact_s], workers)
-        # a draw whose motion could not be computed goes through the impact with finite numbers, and is NaN afterwards
+        # Draws whose motion could not be computed get stand-in numbers, as the impact needs finite ones; below they become NaN.
         computed = np.all(np.isfinite(at_impact.omega_B), axis=(1, 2))
         before = Rows(
             np.nan_to_num(at_impact.omega_B[:, 0]),

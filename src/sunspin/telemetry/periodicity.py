@@ -235,8 +235,8 @@ class _Fitted:
 
 
 def _top(depth: Callable[[np.ndarray], float], trials: np.ndarray, peak: Any) -> float:
-    """Return the frequency (Hz) at which `depth`, a function of one frequency (1), is least next to the trial numbered `peak`."""
-    # imported late: `rates`, which reads the results, does not wait for it
+    """Return the frequency (Hz) of the peak's top near `trials[peak]`, where `depth`, a function of one frequency (1), is least."""
+    # imported here: `rates`, which only reads the results, should not wait for scipy.optimize
     from scipy.optimize import minimize_scalar
 
     step = float(trials[1] - trials[0])

@@ -230,17 +230,18 @@ def columns_of_readings(vehicle: Vehicle) -> set[str]:
 
 
 def _panel_columns(vehicle: Vehicle, table: TextTable, optional: bool) -> list[str]:
-    """Return the name of the column of each input; an empty list if all are missing and `optional`.
+    """Return the name of the column of each input (panel or channel); an empty list if `optional` and the table has none of them.
 
-    The name is that of `[telemetry.columns]`, else the panel's name or one such as PXp_W, else that of the vehicle file for errors.
+    The name is that stated in `[telemetry.columns]`; else that of the input, as Xp, if the table has it; else, for powers and
+    currents, one with quantity and unit, as PXp_W or IXp_A.
 
     Raises
     ------
     TelemetryError
-        A column is missing, or two panels have the same one.
+        A column is missing, or two inputs have the same one.
     """
     form = vehicle.telemetry
-    # with voltages the columns hold currents, which are multiplied by these
+    # with voltages the columns hold currents, from which powers are computed later
     has_powers = form.quantity == "power_W" and not form.has_voltages
     letter, unit = ("P", "W") if has_powers else ("I", "A")
     names = {}

@@ -70,7 +70,10 @@ def _expected_variables(vehicle: Vehicle) -> dict[str, xr.Variable]:
 
 
 def _describe_mismatch(data: xr.Dataset, vehicle: Vehicle, expected: dict[str, xr.Variable]) -> str:
-    """Return in words why stored telemetry cannot be that of the vehicle; an empty text if it can."""
+    """Return in words why stored telemetry is not that of the vehicle, or is damaged; an empty text if neither.
+
+    `expected`: the variables of :func:`_expected_variables` by name, with the dimensions and types that stored ones must have.
+    """
     texts = [data.attrs.get(name) for name in TEXTS]
     if (
         not all(isinstance(text, str) for text in texts)
@@ -89,11 +92,11 @@ def _describe_mismatch(data: xr.Dataset, vehicle: Vehicle, expected: dict[str, x
     if "flag" not in data or len(data.data_vars) == 1:  # the flags alone
         return "no flags, or no reading"
     for name, stored in data.variables.items():
-        if (model := expected.get(str(name))) is None:  # time, panel, axis or phase
+        if (pattern := expected.get(str(name))) is None:  # time, panel, axis or phase
             continue
-        # shapes are compared without the first dimension, the number of samples
+        # the first dimension, the number of samples, may differ: `pattern` has one sample
         form, expected_form = (
-            (each.dims, each.shape[1:], each.dtype.kind) for each in (stored, model)
+            (each.dims, each.shape[1:], each.dtype.kind) for each in (stored, pattern)
         )
         if form != expected_form:
             return f"another form of {name}"

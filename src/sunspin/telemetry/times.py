@@ -727,12 +727,12 @@ def _decide_double_hours(
 
 
 def _read_atomic(form: TelemetryForm, table: TextTable) -> np.ndarray:
-    """Read GPS time, TAI or TT as UTC (n) in s from 1970.
+    """Return the UTC (n), s from 1970, of rows whose clock shows GPS time, TAI or TT.
 
-    Cells are seconds, or seconds of the week with a column of GPS weeks, or dates in that time scale; of TT dates only.
+    Cells are dates in that scale or, of GPS time and TAI, seconds: with a column of GPS weeks those since the week began.
     """
     scale = form.time_format.upper()
-    ahead_s = AHEAD_OF_SCALE_S[form.time_format]
+    ahead_s = AHEAD_OF_SCALE_S[form.time_format]  # TAI minus that scale
     cells = table.cells[form.time_column].tolist()
     cells = [strip_scale(cell, form.time_format) for cell in cells]
     words = re.findall("[a-z]+", form.time_column.lower())
@@ -741,8 +741,9 @@ def _read_atomic(form: TelemetryForm, table: TextTable) -> np.ndarray:
         cells = [cell.removesuffix("Z") for cell in cells]
     has_numbers = bool(np.isfinite([plain_number(cell) for cell in cells]).any())
     if form.week_column is None and (scale == "TT" or not has_numbers):
-        moments = [parse_utc(cell) for cell in cells]
-        for i, (cell, moment) in enumerate(zip(cells, moments, strict=True)):
+        dates = []  # s from 1970, read as if they were UTC
+        for i, cell in enumerate(cells):
+            moment = parse_utc(cell)
             if moment is None or _kind_of_zone(cell) is not None:
                 what = f"{scale} seconds are expected, or a date in {scale} time without a zone"
                 do = 'correct it, or set time_format = "utc" under [telemetry]'
@@ -750,7 +751,8 @@ def _read_atomic(form: TelemetryForm, table: TextTable) -> np.ndarray:
                     what = "a date in TT without a zone is expected"
                     do = f'correct it, or for seconds set time_format = "elapsed" and epoch_utc = "{J2000_UTC}"'
                 raise _cell_error(table, form.time_column, i, what, do)
-        return utc_of_tai(np.array([_unix(moment) for moment in moments if moment]) + ahead_s)
+            dates.append(_unix(moment))
+        return utc_of_tai(np.array(dates) + ahead_s)
     seconds = _read_seconds(form, table, f"{scale} seconds")
     if scale == "TAI":
         return utc_of_tai(seconds + TAI_ZERO_S)

@@ -306,11 +306,11 @@ IN_WORDS = {"string_type": "should be a text in quotes", "string_too_short": "sh
 def describe_error(
     error: ValidationError, kind: type, where: str, table: Mapping[str, Any] | None = None
 ) -> str:
-    """Return the most important validation error of a part of type `kind` as one sentence.
+    """Return the most important of pydantic's errors on a part of type `kind`, as one sentence.
 
-    `where` names the file or the class. `table` is the parsed file, None for arguments in Python. Misspelt keys come first, then
-    missing keys and wrong types, and physically impossible values (`VehicleError`) last: a misspelt key is often the cause of a
-    missing one.
+    Misspelt keys are the most important, as one often explains a missing key. Missing keys and wrong types follow, and physically
+    impossible values (`VehicleError`) come last. `where` names the file or the class. `table`: the parsed file; None for arguments
+    in Python.
     """
     problems = sorted(
         error.errors(include_url=False),
@@ -319,10 +319,8 @@ def describe_error(
     first = next(
         (each for each in problems if not isinstance(_own_error(each), VehicleError)), problems[0]
     )
-    reason, places = (
-        _own_error(first),
-        first["loc"],
-    )  # places: keys and indices that lead to the value
+    reason = _own_error(first)
+    places = first["loc"]  # keys and indices that lead to the value
     if isinstance(reason, VehicleError):
         # its text has {path} where the position of the value belongs
         path = (

@@ -279,8 +279,8 @@ def end_step(lanes, clock, motions, task, answer, l):
 def take_next(lanes, clock, motions, task, answer, queue):
     """Load the next motion of the queue into each lane whose motion has ended; return how many lanes find none and become idle.
 
-    These lanes are marked in `clock.stops`; at the start of a run all are. A motion whose initial numbers are not finite is not
-    run: it gets the outcome NOT_FINITE and NaN states in `answer`, and the lane takes the one after it.
+    `clock.stops` marks the lanes whose motion has ended, and all lanes at the start of a run. A motion whose initial numbers are
+    not finite is not run: `answer` gets NOT_FINITE and NaN for it, and the lane takes the motion after it.
 
     queue : (n + 1) int
         Numbers of the motions in the order in which they are run; the last entry counts how many have been taken.

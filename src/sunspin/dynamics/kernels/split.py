@@ -496,15 +496,15 @@ def end_step(lanes, motions, frames, at, l, row):
 
 # ---- the run ----------------------------------------------------------------------------------------
 @compiled
-def any_wheel_near_rest(u, n_wheels):
-    """Return whether in any lane a wheel that dry friction will stop is at rest or past it."""
-    near = False
+def any_wheel_came_to_rest(u, n_wheels):
+    """Return whether in any lane the step took a wheel that dry friction will stop to rest (`REST_SPEED`) or past it."""
+    at_rest = False
     for i in range(n_wheels):
         o = i * PER_WHEEL
         for l in range(L):
             sign = u[o + SIGN + l]
-            near |= sign * u[o + SPEED + l] < F(REST_SPEED) and sign != F(0)
-    return near
+            at_rest |= sign * u[o + SPEED + l] < F(REST_SPEED) and sign != F(0)
+    return at_rest
 
 
 @compiled
@@ -535,7 +535,7 @@ def run_block(first, task, lanes, motions, nodes, answer):
         for l in range(L):
             at[SECONDS + l] = F(1 / WAYS) * w[DT + l]  # of each way
         # the time left; a step in which a wheel has passed rest is undone and takes no time
-        if any_wheel_near_rest(u, n_wheels):
+        if any_wheel_came_to_rest(u, n_wheels):
             for l in range(L):
                 dt = w[DT + l]  # `end_step` may set another step
                 if end_step(lanes, motions, frames, at, l, queue[min(first + l, last)]):

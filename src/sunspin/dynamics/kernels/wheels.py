@@ -385,17 +385,17 @@ def settle(lanes, n_wheels, l, modes, torques):
 
 @compiled
 def pass_event(lanes, n_wheels, l, modes, torques, wheel):
-    """Change the mode of lane l at the event of the wheel numbered `wheel`, and return what that wheel does.
+    """Change the mode of lane l at the event of the wheel numbered `wheel`, and return what that wheel does (a code of `rows`).
 
-    Forward in time, a free wheel that comes to rest sticks (STOPS); if friction cannot hold it, it turns the other way (REVERSES).
-    A stuck wheel BREAKS_AWAY. Backward in time, a free wheel that comes to rest turned the other way before (REVERSES) if friction
-    could not hold it. Otherwise it RESTS: how it moved before is not determined. A stuck wheel beyond the limit of friction is
-    OVERLOADED: it cannot have been stuck before. `modes`, `torques`: as in `set_mode`.
+    A free wheel has come to rest. If friction can hold it, it sticks: STOPS forward in time; RESTS backward in time, where its
+    motion before is not determined. If friction cannot hold it, it turns the other way after, or before, the event: REVERSES.
+    A stuck wheel has reached the limit of friction. Forward in time it begins to turn: BREAKS_AWAY. Backward in time it cannot
+    have been stuck before: OVERLOADED. `modes`, `torques`: as in `set_mode`.
     """
     u = lanes.u
     w = wheel * PER_WHEEL + l
     backward = lanes.p[DT + l] < 0.0
-    if u[w + FREE] < 0.5:
+    if u[w + FREE] < 0.5:  # a stuck wheel
         if backward:
             return OVERLOADED
         release(lanes, n_wheels, l, modes, torques, wheel)

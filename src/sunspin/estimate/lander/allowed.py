@@ -16,20 +16,22 @@ from sunspin.vehicle.response.planes import sphere
 
 
 def possible_directions(panels: PanelPowers, sample: int, s: GridSettings) -> np.ndarray:
-    """Return directions to the Sun (c, 3) that the readings of one sample allow, about `directions_rad` apart; the best one first.
+    """Return directions to the Sun (c, 3), body axes, that the readings of the sample with index `sample` allow; the best first.
 
-    `sample`: its index. Each allowed direction is within `directions_rad` of a returned one.
+    They are more than `directions_rad` apart, and each allowed direction is within `directions_rad` of one of them.
     """
     at_sample = panels.take(slice(sample, sample + 1))
     around = sphere(s.directions)
-    power = panels.brightness * panels.response.power(around)[:, None]
+    power = panels.brightness * panels.response.power(around)[:, None]  # (directions, 1, p)
     if panels.throttled:
         power = at_sample.best_factor(power)[0] * power
+    # a reading may be off by its noise, and by a share of the largest reading of its input, `full` (p)
     full = panels.brightness * panels.response.power(panels.response.facing_B).diagonal()
     tolerance = np.hypot(s.sigmas * panels.sigma, s.brightness * full)
     square = np.minimum(((power[:, 0] - at_sample.power[0]) / tolerance) ** 2, s.cap)
     misfit = square @ at_sample.used[0]
     order = np.argsort(misfit, kind="stable")
+    # allowed: not worse than the best by one tolerance, squared
     allowed = around[order][misfit[order] < misfit.min() + 1.0]
     # next choose the direction farthest from all chosen ones, until each is near a chosen one
     chosen, nearest_cosine = allowed[:1], allowed @ allowed[0]

@@ -123,10 +123,10 @@ class Shooting:
         return in_pieces(fit, motions, problem.rows_at_once, self.workers)
 
     def _problem(self, window: slice) -> tuple[FitProblem, bool]:
-        """Return the least-squares problem of a window, and whether body and wheel are held at their centres.
+        """Return the least-squares problem of a window, and whether it holds inertia, friction and wheel at their centres.
 
-        Tilts of single panels count as noise, as they would be as many unknowns as readings. The common rotation of all panels is
-        free: as noise it would let through many more motions.
+        It does if the window has too few samples to determine them. Tilts of single panels are not fitted but count as noise: they
+        would be as many unknowns as readings. The common tilt of all panels is fitted: as noise it would let many motions pass.
         """
         held = window.stop - window.start < self.shooting.held
         model = self.model.at_samples(window)
@@ -134,7 +134,7 @@ class Shooting:
         model = replace(model, obs=replace(model.obs, terms=terms))
         free = np.ones(len(model.unknowns), dtype=bool)
         free[model.indices(TILT)] = False
-        free[: len(model.of_motion)] = not held
+        free[: len(model.of_motion)] = not held  # the unknowns of the motion come first
         return FitProblem(model, free, sizes=self.sizes), held
 
     def kept(self, motions: LanderMotions, window: slice) -> LanderMotions:

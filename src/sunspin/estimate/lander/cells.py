@@ -450,10 +450,10 @@ def write_equations(corners, start, frame, panels, limits, work):
 
 @compiled
 def settle(corners, start, frame, panels, limits, work):
-    """Move a `start` (5), place and step, to the nearest local minimum by Gauss-Newton steps, and return its misfit.
+    """Move a `start` (5), place and step, toward the nearest local minimum by damped Gauss-Newton steps, and return its misfit.
 
-    Arguments as of :func:`write_equations`. A start is given up if its misfit would stay above `settled` even if all further steps
-    gained `gain_left` times as much as the last one.
+    Arguments as of :func:`write_equations`. Steps end early if the start will hardly be kept: if its misfit would stay above
+    `limits.settled` even after a further fall of `limits.gain_left` times that in the last step.
     """
     misfit = np.inf
     for taken in range(limits.steps + 1):

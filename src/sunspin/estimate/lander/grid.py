@@ -181,18 +181,19 @@ def _wheels_run(model: LanderModel, after_s: float, s: GridSettings) -> bool:
 
 
 def _rate_limits(model: LanderModel, after_s: float, s: GridSettings) -> tuple[float, float]:
-    """Return the largest rate that may result at a reference, and the largest that is kept at the first sample (rad/s).
+    """Return two limits of the rate (rad/s): at a reference `after_s` (s) after the first sample, and at the first sample.
 
-    The prior limits the rate at the first sample. Until the reference, `after_s` later, the body may become faster: wheels that run
-    down give it their momentum, and with unequal moments of inertia its speed varies. So the limit is wider at the reference. Most
-    motions within it were too fast at the first sample. They are left out if they exceed the second limit, which allows for a
-    margin (`faster_at_first`) and for the uncertainty of the friction (`spun_unsure`).
+    The prior limits the rate at the first sample. Until the reference the body may become faster: wheels that run down give it
+    their momentum, and with unequal moments of inertia its speed varies. So the first limit is higher than the prior's. Most
+    motions within it were too fast at the first sample: those above the second limit are left out. That is the prior's with a
+    margin (`faster_at_first`) and an allowance for the uncertain friction of the wheels (`spun_unsure`).
     """
     at_first = s.faster_at_first * model.max_rate
     if after_s == 0.0:
         return model.max_rate, at_first
     moments = np.linalg.eigvalsh(model.vehicle.require_inertia())
     by_wheels = model.spun_up(after_s)
+    # at constant kinetic energy the speed grows at most by the square root of the largest over the least moment
     stretch = float(np.clip(np.sqrt(moments[-1] / moments[0]), *STRETCH))
     at_reference = model.max_rate * stretch + HANDED_OVER * by_wheels
     return at_reference, at_first + s.spun_unsure * by_wheels

@@ -161,16 +161,16 @@ class Chart:
         sphere = np.log(np.maximum(np.sinc(angle / np.pi), 1e-300))  # sin(angle) / angle
         return np.where(angle < np.pi, sphere - np.linalg.slogdet(self.basis)[1], -np.inf)
 
-    def stiff_steps(self, motions: LanderMotions, y: np.ndarray, z: np.ndarray) -> np.ndarray:
-        """Return the derivatives (K, 5, q) of rate and direction by z at fixed y, by differences.
+    def slopes_by_stiff(self, motions: LanderMotions, y: np.ndarray, z: np.ndarray) -> np.ndarray:
+        """Return the derivatives (K, 5, q) of rate and direction by the stiff coordinates z at fixed y, from differences.
 
-        The direction counts along the tangents at the `motions` themselves, which are those at y (K, d) and z (K, q).
+        `motions`: those at y (K, d) and z (K, q). Changes of a direction are along two tangents at it, not at the centre.
         """
-        size, steps = 1e-5, []
+        size, slopes = 1e-5, []
         for direction in np.eye(self.stiff):
             shifted = self.motions(y, z + size * direction, motions.u)
-            steps.append(shifted.from_centre(motions)[:, :STATE_SIZE] / size)
-        return np.stack(steps, axis=2)
+            slopes.append(shifted.from_centre(motions)[:, :STATE_SIZE] / size)
+        return np.stack(slopes, axis=2)
 
 
 class Proposals(NamedTuple):
@@ -438,7 +438,7 @@ def fit_stiff(
         system = target.linearised(motions, state.slopes, noise_factor)
         # chain rule with the derivatives `change` (n, 5 + s, q + s) of the old coordinates by the new ones
         change = np.zeros((len(motions), STATE_SIZE + len(reading), q + len(reading)))
-        change[:, :STATE_SIZE, of_z] = chart.stiff_steps(motions, state.y, state.z)
+        change[:, :STATE_SIZE, of_z] = chart.slopes_by_stiff(motions, state.y, state.z)
         change[:, STATE_SIZE:, of_reading] = np.eye(len(reading))
         slope = np.einsum("kij,ki->kj", change, system.slope)
         matrix = np.swapaxes(change, 1, 2) @ system.matrix @ change

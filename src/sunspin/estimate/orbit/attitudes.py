@@ -121,10 +121,10 @@ class OrbitModel:
         return np.maximum(count - np.where(has_sun & self.readings.has_field, 3, 2), 0)
 
     def residuals(self, unknown: np.ndarray, attitude: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the residuals (n, R) at unknowns (D) and attitudes (n, 3, 3), and their derivatives (n, R, 3) by a rotation.
+        """Return the residuals (n, R) at unknowns (D) and attitudes (n, 3, 3), and their derivatives (n, R, 3) by the attitude.
 
-        They are predicted less read, in sigmas, and 0 if not read. A small rotation t of the body changes the components v of a
-        fixed vector by v x t.
+        A residual is the prediction less the reading, in sigmas, 0 without a reading. The derivatives are by a small rotation t
+        (rad, body axes) of the body: it changes the components v of a vector fixed in space by v x t.
         """
         sun, field = self._predicted_vectors(unknown, attitude)
         n, readings = len(sun), self.readings
@@ -134,14 +134,15 @@ class OrbitModel:
         sigma = self._sensor_sigma
         sensors = ((scale * true_angle + bias - readings.angle) / sigma).reshape(n, -1)
         sensors_by_sun = ((scale / sigma)[..., None] * angle_by_sun).reshape(n, -1, 3)
+        sensors_by_turn = sensors_by_sun @ cross_matrix(sun)
 
-        # panels: the two components of the predicted Sun across the measured direction, which are zero if both agree
+        # panels: components of the predicted Sun along two tangents at the measured direction, 0 if both directions are equal
         measured = np.isfinite(readings.panel_sun)
         direction = np.where(measured, readings.panel_sun, ANY_DIRECTION)
-        across = np.stack(tangent_basis(direction), axis=1)
+        tangents = np.stack(tangent_basis(direction), axis=1)
         inverse_sigma = 1 / (readings.panel_sigma * self.scatter[1])
-        panels = (across @ sun[..., None])[..., 0] * inverse_sigma[:, None]
-        panels_by_turn = across @ cross_matrix(sun) * inverse_sigma[:, None, None]
+        panels = (tangents @ sun[..., None])[..., 0] * inverse_sigma[:, None]
+        panels_by_turn = tangents @ cross_matrix(sun) * inverse_sigma[:, None, None]
 
         # magnetometer: reading = (1 + M) field + zero
         matrix = np.eye(3) + unknown[MATRIX].reshape(3, 3)
@@ -149,7 +150,6 @@ class OrbitModel:
         magnetometer_by_turn = matrix @ cross_matrix(field) / self.scatter[2]
 
         value = np.concatenate([sensors, panels, magnetometer], axis=1)
-        sensors_by_turn = sensors_by_sun @ cross_matrix(sun)
         by_turn = np.concatenate([sensors_by_turn, panels_by_turn, magnetometer_by_turn], axis=1)
         was_read = self.was_read
         return np.where(was_read, value, 0.0), np.where(was_read[..., None], by_turn, 0.0)
@@ -184,9 +184,9 @@ class OrbitModel:
     def project_out_attitudes(
         self, unknown: np.ndarray, attitude: np.ndarray
     ) -> ProjectedResiduals:
-        """Return the residuals at the best attitudes for fixed unknowns (D), which are sought from `attitude` (n, 3, 3) on.
+        """Return the residuals at the attitudes that fit best at given unknowns (D), with their derivatives by the unknowns.
 
-        Each sample is fitted on its own, by Gauss-Newton steps.
+        Gauss-Newton steps from `attitude` (n, 3, 3), B from Earth-fixed axes, find the best attitude of each sample by itself.
         """
         for _ in range(ATTITUDE_STEPS):
             value, by_turn = self.residuals(unknown, attitude)
@@ -195,8 +195,8 @@ class OrbitModel:
             # no step rotates by more than 0.5 rad about an axis
             attitude = rotate_attitude(attitude, np.clip(-turn[..., 0], -0.5, 0.5))
         value, by_turn = self.residuals(unknown, attitude)
-        # With J = by_turn, a change r of the residuals by the unknowns rotates the best attitude by -(J^T J)^-1 J^T r. That changes
-        # the residuals by -J (J^T J)^-1 J^T r. The diagonal of J (J^T J)^-1 J^T is the leverage of the attitude.
+        # `inverse` is (J^T J)^-1 J^T with J = by_turn. If the unknowns change the residuals by r, the best attitude rotates by
+        # -inverse r, which adds -J inverse r to the residuals. The diagonal of J inverse is the leverage of the attitude.
         inverse = np.linalg.solve(_attitude_information(by_turn), np.swapaxes(by_turn, -1, -2))
         slope = self.by_unknowns(unknown, attitude)
         slope = slope - by_turn @ (inverse @ slope)
@@ -299,9 +299,9 @@ class OrbitModel:
     def triad_attitudes(self, unknown: np.ndarray) -> np.ndarray:
         """Return attitudes (n, 3, 3), B from Earth-fixed axes, from which a fit begins (TRIAD).
 
-        Each rotates the predicted field to the direction of the measured one, and the Sun as near as possible to the measured one.
-        It follows from three axes along and across both vectors (:func:`_triad`), which are known in the body and in Earth-fixed
-        axes. `unknown` (D) calibrates the readings, and states the along-track offset of the predicted field.
+        Each takes the predicted field exactly to the direction of the measured one, and the Sun as near to the measured one as that
+        allows. It is the rotation between two sets of axes that :func:`_triad` makes of field and Sun: of the measured ones in B,
+        and of the predicted ones in Earth-fixed axes. Of `unknown` (D) the calibration, the offset and the drift are used.
         """
         inverse = np.linalg.inv(np.eye(3) + unknown[MATRIX].reshape(3, 3))
         field_B = np.nan_to_num((self.readings.field - unknown[ZERO]) @ inverse.T)

@@ -83,9 +83,9 @@ class Sky(NamedTuple):
         node_rad: float = 0.0,
         phase_s: float = 0.0,
     ) -> Sky:
-        """Return the sky at times `t_s` (n) and offsets `shifts` (K) of an orbit, or of a comparison orbit.
+        """Return the sky at times `t_s` (n), s from the epoch, with the satellite `shifts` (K) s ahead of where `orbit` has it.
 
-        A comparison orbit has its node rotated by `node_rad` and its satellite ahead by `phase_s` of flight.
+        For a copy with which the orbit is compared: its node is rotated by `node_rad`, its satellite another `phase_s` ahead.
         """
         when = orbit.instants(t_s)
         ahead = orbit.ahead_s(when) + phase_s + shifts[:, None]  # (K, n)
@@ -186,17 +186,17 @@ def fit_at_offsets(
 
 
 def eclipse_cost(light: np.ndarray, lit: np.ndarray) -> np.ndarray:
-    """Return minus the log likelihood (K) of sunlit and dark samples, at each of K along-track offsets.
+    """Return the cost (K), minus the log likelihood, of which samples are sunlit or dark, at each of K along-track offsets.
 
     `light` (n): 1 if a sample shows the Sun, 0 if it is dark, NaN if unknown. `lit` (K, n): predicted visible part of the Sun's
-    disc, taken as the probability that the sample is in the Sun. In the shadow a sample is dark, except for the share
-    :data:`SEEN_IN_SHADOW`. In the Sun it may be dark too, if no panel faces the Sun or a panel is idle. The probability of that is
-    the share of dark samples among those in the Sun, at each offset.
+    disc, taken as the probability that the satellite is in sunlight. In the Earth's shadow all samples are dark but the share
+    :data:`SEEN_IN_SHADOW`. In sunlight a sample may be dark too, if no panel faces the Sun or delivers power. The probability of
+    that is estimated for each offset: the share of dark samples among those predicted in sunlight.
     """
     known = np.isfinite(light)
     dark, sunny = light[known] == 0, lit[:, known]
     dark_in_sun = (sunny * dark).sum(axis=1) / np.maximum(sunny.sum(axis=1), 1)
-    # at least half a sample of all, at most the probability of darkness in the shadow: so no sample is impossible
+    # at least half a sample among all, at most the probability of darkness in the shadow: no dark or sunlit sample is impossible
     dark_in_sun = np.clip(dark_in_sun, 0.5 / max(len(dark), 1), 1 - SEEN_IN_SHADOW)[:, None]
     probability_dark = sunny * dark_in_sun + (1 - sunny) * (1 - SEEN_IN_SHADOW)
     log_likelihood = np.where(dark, np.log(probability_dark), np.log1p(-probability_dark))

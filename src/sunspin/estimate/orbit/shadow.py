@@ -181,15 +181,15 @@ def _sunlit_by_panels(assessment: Assessment) -> tuple[np.ndarray, np.ndarray]:
 def _in_full_shadow(
     orbit: Orbit, t_s: np.ndarray, offsets_s: np.ndarray, sigmas: float
 ) -> np.ndarray:
-    """Return which samples are surely in the full shadow, as booleans (K, n) for each of K along-track offsets.
+    """Return which samples (K, n) are in the full shadow of the Earth at each of K along-track offsets, whatever the drift.
 
-    `t_s` (n): times of the samples; `offsets_s` (K), s: added to the offset of the orbit. The offset also drifts, at an unknown
-    rate: a sample counts only if it is in the shadow for every drift within `sigmas` standard deviations of its prior. The full
-    shadow is that of an Earth whose radius is smaller by `DEPTH_M`.
+    `t_s` (n): times of the samples, s; `offsets_s` (K), s: added to the offset of the orbit. A sample counts only if it is in the
+    shadow for every drift within `sigmas` standard deviations of the orbit's. To leave out the edge of the shadow, in which the air
+    bends sunlight, the Earth counts as smaller by `DEPTH_M`.
     """
     when = orbit.instants(t_s)
     sun, ahead_s = sun_J2000_m(when), orbit.ahead_s(when) + offsets_s[:, None]
-    # what the drift may add to the offset at each sample (n), at most half a revolution; less than a second is neglected
+    # the most that the drift's error adds to the offset at each sample (n), up to half a revolution; below 1 s it is neglected
     drift_s = sigmas * orbit.drift_sigma_s_day * np.abs(orbit.days(when))
     drift_s = np.minimum(drift_s, orbit.elements[0].period_s / 2)
     steps = int(np.ceil(drift_s.max() / DRIFT_STEP_S)) if drift_s.max() > 1.0 else 0

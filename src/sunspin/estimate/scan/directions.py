@@ -19,12 +19,12 @@ from sunspin.vehicle.response.planes import DirectionSet
 def reconstructible_mask(vehicle: Vehicle) -> DirectionSet:
     """Return the set of Sun directions that can be reconstructed from the readings of the vehicle's panels.
 
-    A direction belongs to it if the panels that it lights, its illumination pattern, suffice (:func:`reconstructible_patterns`).
-    The set is a logical formula of half-spaces, which the compiled scan evaluates at every step.
+    A direction is in it if the panels that it lights, its pattern, determine a direction (:func:`reconstructible_patterns`). The
+    set is a logical formula of half-spaces, which the compiled scan evaluates at every step. `InputError` if it is empty.
     """
     names = vehicle.input_names
     reconstructible = reconstructible_patterns(vehicle)
-    # all patterns that the Sun can make
+    # all patterns that the Sun can make; the set's formula need not be right for any other one
     patterns = [frozenset(pattern) for pattern in lit_patterns(vehicle)]
     sufficient = [pattern for pattern in patterns if pattern in reconstructible]
     insufficient = [pattern for pattern in patterns if pattern not in reconstructible]

@@ -26,12 +26,14 @@ LANES = 32
 def target_segments(
     target_z: npt.ArrayLike, weights: npt.ArrayLike | None = None
 ) -> tuple[np.ndarray, ...]:
-    """Return the CDF of measured r_z (n), with `weights` (n) or equal ones, as S segments of a constant CDF inside one bin each.
+    """Return the CDF of measured r_z (n), a step function, as S segments. Each has a constant CDF and lies inside one bin.
+
+    `weights` (n): of the values; default: equal ones.
 
     Returns
     -------
     bin_of, low, high, level : (S,) each
-        Bin of the segment, its ends as fractions of that bin, and the CDF on it.
+        Index of the bin, the ends of the segment from 0 to 1 across that bin, and the CDF on it; for :func:`emd_rows`.
     """
     z = np.asarray(target_z, dtype=np.float64).ravel()
     w = np.ones_like(z) if weights is None else np.asarray(weights, dtype=np.float64).ravel()
@@ -48,7 +50,7 @@ def target_segments(
         levels = (np.arange(MAX_TARGET) + 0.5) / MAX_TARGET
         z = z[order][np.searchsorted(np.cumsum(w[order]) / w.sum(), levels)]
         w, order = np.ones(MAX_TARGET), np.arange(MAX_TARGET)
-    # places of the values in units of a bin; segments end there and at the edges of the bins
+    # places of the values, from 0 at r_z = -1 in units of a bin; segments end there and at the edges of the bins
     position = np.clip((z[order] + 1) * BINS / 2, 0, BINS)
     knots = np.unique(np.concatenate([np.arange(BINS + 1, dtype=float), position]))
     cdf = np.concatenate([[0.0], np.cumsum(w[order])]) / w.sum()

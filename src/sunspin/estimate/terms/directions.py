@@ -106,9 +106,9 @@ class SunDirections(Term):
 
     @cached_property
     def _whitened(self) -> list[tuple[np.ndarray, np.ndarray]]:
-        """Return for the first and the second meaning: directions (n, 3), and matrices W (n, 3, 3) that whiten their errors.
+        """Return two pairs, of the first and the second direction that a reading may mean: directions (n, 3), matrices W (n, 3, 3).
 
-        W times a difference of directions is in sigmas: W^T W is the inverse covariance. All are zero where nothing was read.
+        W times a difference of directions is in sigmas: W^T W is the inverse covariance. Both are zero where nothing was read.
         """
         first, second = (self.direction_B, self.covariance), (self.other_B, self.other_covariance)
         meanings = []
@@ -116,6 +116,7 @@ class SunDirections(Term):
             was_read = np.isfinite(covariance[:, 0, 0])
             whitening = np.zeros((len(was_read), 3, 3))
             inverse = np.linalg.inv(covariance[was_read])
+            # W = L^T, where L L^T is the inverse covariance
             whitening[was_read] = np.swapaxes(np.linalg.cholesky(inverse), -1, -2)
             meanings.append((np.where(was_read[:, None], direction, 0.0), whitening))
         return meanings

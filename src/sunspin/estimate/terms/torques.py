@@ -277,16 +277,15 @@ class MagneticTorque(Term):
         )
 
     def added_by_unknowns(self, states: States, dt: np.ndarray) -> np.ndarray | None:
-        """Return turn and rate (K, n - 1, 6, m) that one sigma of each unknown adds in the intervals dt (n - 1).
+        """Return the turn and rate (K, n - 1, 6, m) that one sigma of each unknown adds by the end of each interval dt (n - 1).
 
-        The field in the body is that of the mean attitude over the interval, for a body that keeps its first rate. The inertia is
-        taken as that of a sphere.
+        Approximations: the body is a sphere, keeps the interval's first rate, and sees the mean field at its mean attitude.
         """
         if not self.sigma:
             return None
-        # An acceleration a(s) adds the rate dt <a> and the turn dt^2 / 2 <a>_early. The second mean has the weight 2 (dt - s) / dt,
-        # as an early acceleration acts on the attitude for longer. A field that is linear in s has these means at a half and at a
-        # third of the interval.
+        # An acceleration a(s) at the time s in the interval adds the rate dt <a> and the turn dt^2 / 2 <a>_early. <a> is the plain
+        # mean; <a>_early has the weight 2 (dt - s) / dt, as an early acceleration acts on the attitude for longer. For a field that
+        # is linear in s the two means are its values at dt / 2 and dt / 3. `size` below: sigma of an unknown, as in `unknowns`.
         even, early = averaged_attitudes(states, dt)
         if self.field_N is None:
             size = self.sigma / np.sqrt(6)
@@ -294,7 +293,7 @@ class MagneticTorque(Term):
         else:
             first, last = self.field_N[:-1], self.field_N[1:]
             size = self.sigma / np.sqrt(2)
-            # columns of the matrix of -b x: e_j x b of the dipole component j
+            # a unit dipole along axis j has the torque e_j x b = -b x e_j: column j of the matrix of -b x
             for_turn = -cross_matrix(np.einsum("knij,nj->kni", early, (2 * first + last) / 3))
             for_rate = -cross_matrix(np.einsum("knij,nj->kni", even, (first + last) / 2))
         span = dt[:, None, None]

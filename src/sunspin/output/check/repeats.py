@@ -26,13 +26,13 @@ PLURAL = (PANELS, "sun_sensor_B")
 
 
 def describe_repeats(assessment: Assessment) -> Findings:
-    """Return the findings on samples that repeat earlier ones; empty if none does."""
+    """Return what the check says of samples and readings that repeat earlier ones; empty if none does."""
     repeats, samples = assessment.repeats, assessment.telemetry
     summary: dict[str, Any] = {}
     lines: list[str] = []
-    stretches = _stretches(repeats.frozen)  # begin and end (exclusive) of each
+    stretches = _stretches(repeats.frozen)  # begin and end (exclusive) of each run of repeats
     count, distinct = int(repeats.frozen.sum()), int((~repeats.frozen).sum())
-    # Three cases: each reading is repeated a fixed number of times, or the file has long frozen stretches, or single copies.
+    # With a run of repeats after most distinct samples, all readings are repeated. Else long runs are frozen, short ones copies.
     if len(stretches) > EACH_SHARE * distinct:
         repeats_of_each = round(float(np.mean([end - begin for begin, end in stretches])))
         summary["repeated_each"] = repeats_of_each + 1  # with the reading itself
@@ -75,10 +75,10 @@ def describe_repeats(assessment: Assessment) -> Findings:
         lines.append(
             f"  HELD VALUES: panels that are read less often than the samples repeat their last reading: {panels}; left out"
         )
-    if words := repeats.doubt:
+    if repeats.doubt:
         summary["repeats_doubtful"] = int(repeats.unsure.sum())
         lines.append(
-            f"  {words} Too few different readings to tell; `sunspin rates` does not decide these passes"
+            f"  {repeats.doubt} Too few different readings to tell; `sunspin rates` does not decide these passes"
         )
     return Findings({key: value for key, value in summary.items() if value}, lines)
 

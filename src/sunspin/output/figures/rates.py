@@ -24,9 +24,10 @@ OTHER_SENSORS = {
 
 @styled
 def rates_figure(result: xr.Dataset, telemetry: xr.Dataset | None = None) -> Any:
-    """Draw the rate components (deg/s) of the likeliest solution of each of the largest passes, with one sigma, by time.
+    """Draw the rate (deg/s) of the likeliest solution over time (min), with one sigma: a column for each pass, a row for each axis.
 
-    If the `telemetry` has a gyro, its readings are drawn too.
+    Only the passes with the most samples are drawn (:func:`largest_passes`). If `telemetry` has a gyro, so are its readings, less
+    their estimated zero.
     """
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
@@ -56,7 +57,7 @@ def rates_figure(result: xr.Dataset, telemetry: xr.Dataset | None = None) -> Any
     for k, row in enumerate(grid):
         row[0].set_ylabel(rf"$\omega_{'xyz'[k]}$ (deg/s)")
         low, high = row[0].get_ylim()
-        if low < 0 < high:  # elsewhere the line would extend the axis and squeeze the curve
+        if low < 0 < high:  # else a line at zero would extend the axis and squeeze the curve
             for axes in row:
                 axes.axhline(0, color=GREY, lw=0.5)
     # the legend is black and grey, as it is for all components, which have different colours

@@ -51,9 +51,9 @@ def solution_numbers(result: Any, k: int, solution: int) -> dict[str, Any]:
 
 
 def rates_in_degrees(columns: dict[str, Any]) -> dict[str, Any]:
-    """Return those columns that are in rad/s converted to deg/s, with names that end in `_deg_s`.
+    """Return copies in deg/s, with names that end in `_deg_s`, of all columns that are in rad/s.
 
-    In rad/s are columns whose names say it, and those of `SOLUTION` and `SPEED_RATES`, whose names do not.
+    A column is in rad/s if its name ends in `_rad_s`, or is one of `SOLUTION` and `SPEED_RATES`.
     """
     return {
         name.removesuffix("_rad_s") + "_deg_s": np.degrees(value)

@@ -67,9 +67,9 @@ def scan_summary(scan: Any) -> Summary:
 
 
 def lines_summary(lines: Any) -> Summary:
-    """Return the summary of straight lines in rate space that were fitted to a near-minimum set.
+    """Return the summary of straight lines in rate space that were fitted to a near-minimum set (`estimate.scan.lines.fit_lines`).
 
-    Each has a point, a direction, and the number of points of the set that lie along it.
+    `lines` has the point (line, 3) of each in rad/s, its `direction` (line, 3), and the `count` of points of the set nearest to it.
     """
     columns = (lines[name].values.tolist() for name in ("point", "direction", "count"))
     rows = [
