@@ -64,8 +64,8 @@ class ColumnChange:
 
     `what`: in words. `columns`: input k reads the column `columns[k]`; if empty, the one that the file states. `reversed_panels`,
     `reversed_wheels`: numbers of panels and wheels with the opposite normal or axis. `axes`: variable of telemetry -> matrix by
-    which its readings are multiplied, (3, 3), of a quaternion (4, 4). `do`: what to write in the file, in words; `errors`: number of
-    mistakes in the file.
+    which its readings are multiplied, (3, 3), of a quaternion (4, 4). `do`: what to write in the file, in words; `errors`: number
+    of mistakes in the file.
     """
 
     what: str
