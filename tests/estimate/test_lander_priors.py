@@ -358,6 +358,7 @@ def test_priors_say_what_they_are_and_where_from():
     assert said["friction"] == "0.05 (assumed)"
     assert said["rate"] == "uniform in a ball of 0.3 rad/s"
     assert model.max_rate == 0.3
+    assert with_priors(assessment, window, {}, "hold")[1]["friction"] == "none acts"
     exact = dict.fromkeys(("inertia", "friction", "wheel_speed"), 0.0)
     assert not with_priors(assessment, window, exact)[0].of_motion
 

@@ -274,10 +274,12 @@ def _wheel_unknowns(vehicle: Vehicle, mode: Any, sources: Sources) -> list[Unkno
         for kind, key in (("coulomb", "coulomb_N_m"), ("viscous", "viscous_N_m_s")):
             value = getattr(wheel.friction, key)
             stated = _stated(vehicle, f"{at}.friction.{key}", value)
-            sigma = sources.sigma("friction", stated, FRICTION)
-            sigma = sigma if value and command == "coast" else 0.0
+            acts = bool(value) and command == "coast"
+            sigma = sources.sigma("friction", stated, FRICTION) if acts else 0.0
             name = wheel_unknown(f"log_{kind}", vehicle, wheel)
             unknowns.append(Unknown(name, kind, "1", 0.0, sigma, i))
+    if vehicle.wheels:
+        sources.in_words.setdefault("friction", "none acts")
     return unknowns
 
 
