@@ -8,6 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from sunspin.environment.field import MODEL_SIGMA_T
 from sunspin.environment.orbit import SunAlongZ
+from sunspin.estimate.calibrate import propagated
 from sunspin.estimate.orbit.attitudes import FIRST_SENSOR, OrbitModel, OrbitState
 from sunspin.estimate.orbit.calibration import (
     Calibration,
@@ -215,13 +216,23 @@ def test_directions_of_panels_turn_all_fields_by_one_angle():
     fit, turned_rad = fit_of_one_sensor(), 0.03
     field, variances = 3e-5 * np.array([0.6, 0.0, 0.8]), []
     for common_error in (0.0, turned_rad):
-        calibration = fit.magnetometer(fit.shift_s, fit.shift_sigma_s, common_error)
+        fitted = replace(fit, turned_rad=common_error)
+        calibration = fitted.magnetometer(fit.shift_s, fit.shift_sigma_s)
         reading = np.linalg.solve(calibration.matrix, field + calibration.zero)
         columns = calibration.reading_errors(reading[None])[0]
         variances.append(columns.T @ columns)
     across = field @ field * np.eye(3) - np.outer(field, field)
     expected = turned_rad**2 * across
     np.testing.assert_allclose(variances[1] - variances[0], expected, atol=1e-6 * expected.max())
+    # the calibrated matrix states this error too
+    scaled = [
+        propagated(
+            replace(fit, turned_rad=error), lambda each: (each.matrix_T / each.scale_T).ravel()
+        )[1]
+        for error in (0.0, turned_rad)
+    ]
+    added = np.sqrt(scaled[1] ** 2 - scaled[0] ** 2)
+    np.testing.assert_allclose(added[~np.eye(3, dtype=bool).ravel()], turned_rad, rtol=0.2)
 
 
 def test_a_reading_whose_strength_is_off_has_a_larger_noise():

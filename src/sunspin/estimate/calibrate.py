@@ -21,6 +21,7 @@ from sunspin.estimate.orbit.calibration import (
     Calibration,
     fit_sensors,
     priors,
+    with_common_sun_error,
 )
 from sunspin.estimate.orbit.check import OrbitCheck, Verdict, check_orbit
 from sunspin.estimate.orbit.invariants import STUDENT
@@ -121,7 +122,7 @@ def calibrate_sensors(
         readings = orbit_readings(assessment, MOST_SAMPLES)
         fitted = _fit_in_orbit(assessment, orbit, readings, notes)
         if fitted is not None and orbit is not None:
-            keys += _magnetometer_keys(vehicle, fitted)
+            keys += _magnetometer_keys(vehicle, fitted, notes)
             keys += _sun_sensor_keys(vehicle, readings, fitted)
             attrs = _fit_attributes(fitted, orbit)
     if "gyro_B" in telemetry and vehicle.sensors.gyro is not None:
@@ -218,7 +219,7 @@ def _fit_in_orbit(
             orbit, vehicle, readings, start, priors(vehicle, readings, orbit)
         )
         if fitted.samples["field"] + fitted.samples["field and Sun"] >= FEWEST:
-            return fitted
+            return with_common_sun_error(fitted, assessment)
     notes.append(f"{what}: not determined, too few samples show the field")
     return None
 
@@ -264,7 +265,8 @@ def propagated(
     """Return the m numbers that `quantity` computes from a calibration, their sigmas, and their sigmas before the data: (m) each.
 
     Errors are propagated linearly: a covariance C of the unknowns becomes S C S^T, with the derivatives S (m, D) from differences.
-    A sigma is the larger one of that by the curvature and that by the jackknife over parts of the file.
+    A sigma is the larger one of that by the curvature and that by the jackknife over parts of the file; to it comes, in squares,
+    that by the error which all directions to the Sun have in common.
     """
     value, columns = quantity(fitted), []
     for k, step in enumerate(SMALL * np.sqrt(np.diag(fitted.prior))):
@@ -272,16 +274,18 @@ def propagated(
         changed[k] += step
         columns.append((quantity(replace(fitted, values=changed)) - value) / step)
     slope = np.stack(columns, axis=1)
-    # roots of the diagonal of S C S^T
-    by_curvature, by_jackknife, prior = (
-        np.sqrt(np.einsum("ij,jk,ik->i", slope, covariance, slope))
-        for covariance in (fitted.by_curvature, fitted.by_jackknife, fitted.prior)
+    # roots of the diagonal of S C S^T; one that is zero may be rounded below it
+    by_curvature, by_jackknife, by_common, prior = (
+        np.sqrt(np.maximum(np.einsum("ij,jk,ik->i", slope, covariance, slope), 0.0))
+        for covariance in (fitted.by_curvature, fitted.by_jackknife, fitted.by_common, fitted.prior)
     )
-    return value, np.maximum(by_curvature, by_jackknife), prior
+    return value, np.hypot(np.maximum(by_curvature, by_jackknife), by_common), prior
 
 
-def _magnetometer_keys(vehicle: Vehicle, fitted: Calibration) -> list[Key]:
+def _magnetometer_keys(vehicle: Vehicle, fitted: Calibration, notes: list[str]) -> list[Key]:
     """Return the keys of the magnetometer, field = scale_T matrix (column - zero); none without readings of it.
+
+    A note is added to `notes` if the rotation of its axes is not determined.
 
     `fitted.matrix_T` (3, 3) is scale and matrix together, relative to the matrix of the file. The product of both is split into a
     rotation and a stretch (polar decomposition), and the stretch into its scale, the cube root of the determinant, and the rest.
@@ -306,6 +310,10 @@ def _magnetometer_keys(vehicle: Vehicle, fitted: Calibration) -> list[Key]:
     # Strengths alone, without the Sun, do not determine the rotation of the axes: then the matrix is the stretch alone.
     _, sigma, prior = propagated(fitted, lambda calibration: rotation_and_stretch(calibration)[0])
     axes_known = bool((sigma < NARROWER * prior).all())
+    if not axes_known:
+        notes.append(
+            "matrix of the magnetometer: determined up to a rotation of its axes, which only the Sun shows"
+        )
 
     def matrix(calibration: Calibration) -> np.ndarray:
         """Return the matrix (9), by rows, without its scale."""

@@ -165,7 +165,7 @@ class Calibration:
     `unit` (in their own unit). `sensors`: number F of Sun sensors. `noise_T`: of a component of the field; `sun_noise`: of the
     angles, as a factor on the stated sigmas. `strength` (2) and `angle` (2): median residuals of the field's strength (T) and of
     its angle to the Sun (rad), by the vehicle file and by the fit. `samples`: how many show field, Sun, or both, and how many
-    passes.
+    passes. `turned_rad`: one sigma of an error about each axis, rad, that all directions to the Sun have in common.
     """
 
     values: np.ndarray
@@ -180,6 +180,7 @@ class Calibration:
     strength: np.ndarray
     angle: np.ndarray
     samples: dict[str, int]
+    turned_rad: float = 0.0
 
     @property
     def matrix_T(self) -> np.ndarray:
@@ -198,9 +199,22 @@ class Calibration:
 
     @property
     def covariance(self) -> np.ndarray:
-        """Covariance (D, D) by the curvature, each sigma widened to the one by the jackknife if that is larger."""
+        """Covariance (D, D) by the curvature, each sigma widened to the one by the jackknife if it is larger, plus `by_common`."""
         widened = np.sqrt(np.maximum(np.diag(self.by_jackknife) / np.diag(self.by_curvature), 1.0))
-        return self.by_curvature * np.outer(widened, widened)
+        return self.by_curvature * np.outer(widened, widened) + self.by_common
+
+    @property
+    def by_common(self) -> np.ndarray:
+        """Covariance (D, D) by `turned_rad`: the axes of a magnetometer rotate with the directions that calibrate it.
+
+        Neither the residuals nor the jackknife show it.
+        """
+        matrix = np.eye(3) + self.values[MATRIX].reshape(3, 3)
+        # change of 1 + M by a small rotation about each axis
+        rotated = np.array([matrix @ cross_matrix(axis) for axis in np.eye(3)]).reshape(3, 9)
+        covariance = np.zeros_like(self.by_curvature)
+        covariance[MATRIX, MATRIX] = self.turned_rad**2 * rotated.T @ rotated
+        return covariance
 
     @property
     def shift_s(self) -> float:
@@ -232,24 +246,11 @@ class Calibration:
         """Scales (F, 3) of x, y and wrapped y of each Sun sensor, relative to the stated ones."""
         return 1 + self.values[FIRST_SENSOR:].reshape(self.sensors, PER_SENSOR)[:, 2:]
 
-    def covariance_of_sun_errors(self, turned_rad: float) -> np.ndarray:
-        """Return the covariance (9, 9) of M, by rows, if all directions to the Sun have an error `turned_rad` in common.
-
-        It is one sigma, in rad, of a rotation about each axis. The axes of a magnetometer that is calibrated by such directions
-        rotate with them. Neither the residuals nor the jackknife show it.
-        """
-        matrix = np.eye(3) + self.values[MATRIX].reshape(3, 3)
-        # change of 1 + M by a small rotation about each axis
-        rotated = np.array([matrix @ cross_matrix(axis) for axis in np.eye(3)]).reshape(3, 9)
-        return turned_rad**2 * rotated.T @ rotated
-
-    def magnetometer(
-        self, shift_s: float, sigma_s: float, turned_rad: float = 0.0
-    ) -> FieldCalibration:
+    def magnetometer(self, shift_s: float, sigma_s: float) -> FieldCalibration:
         """Return the calibration of the magnetometer if the along-track offset is `shift_s` with the sigma `sigma_s`, both in s.
 
         The other unknowns follow the offset by their regression on it. Their errors are propagated from the equation of the fit,
-        reading = (1 + M) field + zero, to field = matrix reading - zero. `turned_rad`: as of :meth:`covariance_of_sun_errors`.
+        reading = (1 + M) field + zero, to field = matrix reading - zero.
         """
         covariance = self.covariance[MAGNETOMETER, MAGNETOMETER]
         by_shift = covariance[:, SHIFT] / covariance[SHIFT, SHIFT]  # slopes of the regression
@@ -258,7 +259,6 @@ class Calibration:
         moved = replace(self, values=values)
         added_variance = sigma_s**2 - covariance[SHIFT, SHIFT]
         covariance = covariance + added_variance * np.outer(by_shift, by_shift)
-        covariance[MATRIX, MATRIX] += moved.covariance_of_sun_errors(turned_rad)
         # Derivatives by M, zero and offset. matrix is the inverse of 1 + M but for its scale, so that its change is
         # -matrix dM matrix / scale_T, by rows a Kronecker product; zero_T is the matrix times the zero.
         matrix, zero_T = moved.matrix_T, moved.matrix_T @ moved.zero
@@ -315,24 +315,27 @@ def calibrate_magnetometer(
     field = calibrated_field(readings.field, first)
     residual_T, _ = median_residuals(field, readings.sun, predicted)
     start = CalibrationStart(first[MATRIX].reshape(3, 3), first[ZERO], residual_T=residual_T)
-    fitted, turned_rad = calibrate_with_sun_sensors(orbit, vehicle, readings, start), 0.0
+    fitted = calibrate_with_sun_sensors(orbit, vehicle, readings, start)
     if fitted is None:
-        turned_rad = 0.0 if vehicle.sensors.sun_sensors else common_sun_error(assessment)
         prior = priors(vehicle, readings, orbit)
         # the sigmas that the file states for its own axes, in the order of the axes of the fit
         prior[ZERO] = np.abs(axes) @ prior[ZERO]
         fitted = fit_sensors(orbit, vehicle, readings.with_stated_sun(), start, prior)
     # at the orbit's own offset, and for readings in the axes of the file
-    return fitted.magnetometer(0.0, orbit.offset_sigma_s, turned_rad).with_axes(axes)
+    fitted = with_common_sun_error(fitted, assessment)
+    return fitted.magnetometer(0.0, orbit.offset_sigma_s).with_axes(axes)
 
 
-def common_sun_error(assessment: Assessment) -> float:
-    """Return one sigma, rad, of the error about each axis that all directions to the Sun from panels have in common.
+def with_common_sun_error(fitted: Calibration, assessment: Assessment) -> Calibration:
+    """Return a calibration by panels with the error that all their directions to the Sun have in common.
 
-    Light of the Earth, and sides without a panel, rotate the directions of a whole file by nearly the same angle.
+    Light of the Earth, and sides without a panel, rotate the directions of a whole file by nearly the same angle. A calibration
+    with Sun sensors is returned as it is.
     """
+    if fitted.sensors:
+        return fitted
     earth = assessment.quality.attrs["earth_light"] if assessment.has_panels else 0.0
-    return max(SUN_TURNED_RAD, SUN_TURNED_BY_EARTH * earth)
+    return replace(fitted, turned_rad=max(SUN_TURNED_RAD, SUN_TURNED_BY_EARTH * earth))
 
 
 def calibrate_with_sun_sensors(
