@@ -15,6 +15,7 @@ from sunspin.estimate.columns import samples_of
 from sunspin.estimate.model import Body
 from sunspin.estimate.observe import COASTING, HELD, take_samples, wheel_models
 from sunspin.estimate.rates import rates
+from sunspin.estimate.verdict import WHEEL_CHANGES
 from sunspin.estimate.wheels import WRAPPED_RAD, momentum_of_each, reversed_momenta
 from sunspin.vehicle import Friction
 from tests.support.passes import errors_in_sigmas, estimate, tumbling_pass
@@ -199,3 +200,29 @@ def test_rates_are_right_after_a_wheel_is_braked_and_the_change_is_named(monkeyp
     ((momentum, momenta),) = tested
     np.testing.assert_allclose(np.ptp(momentum - momenta[(0,)], axis=0), 0, atol=1e-12)
     assert np.ptp(momentum, axis=0).max() > 1e-3
+
+
+@pytest.mark.long
+def test_steps_that_a_wheel_may_cause_leave_a_pass_undecided_and_the_advice_gives_right_rates():
+    """The pass was decided 20 sigma off after the wheel was braked."""
+    simulated = make("wheel braked", 91, 2)
+    result = estimate(simulated)
+    assert not result["decided"].values.any() and WHEEL_CHANGES in result.attrs["verdict"]
+    before = simulated.telemetry["time"].values < 130  # the wheel is braked from about 135 s on
+    # the wheel's momentum h along its axis u, from |I omega + h u|, which stays the same
+    (wheel,) = simulated.vehicle.wheels
+    body = simulated.omega @ np.array(simulated.vehicle.inertia_kg_m2)
+    nominal = wheel.inertia_kg_m2 * wheel.speed_rad_s
+    along = body @ np.array(wheel.axis_B)
+    square = (body[0] ** 2).sum() + 2 * nominal * along[0] + nominal**2
+    h = np.sign(nominal) * np.sqrt(along**2 - (body**2).sum(axis=1) + square) - along
+    speeds = ("time", "wheel"), h[:, None] / wheel.inertia_kg_m2
+    for changed in (
+        simulated._replace(
+            telemetry=simulated.telemetry.isel(time=before), omega=simulated.omega[before]
+        ),
+        simulated._replace(telemetry=simulated.telemetry.assign(wheel_speed_rad_s=speeds)),
+    ):
+        result = estimate(changed)
+        assert result["decided"].values.all()
+        assert np.abs(errors_in_sigmas(result, changed.omega)).max() < 4.5

@@ -24,10 +24,11 @@ from sunspin.estimate.budget import USUAL, Budget
 from sunspin.estimate.changed_wheel import changed_wheel
 from sunspin.estimate.columns import check_columns, cost_of_silent_panels
 from sunspin.estimate.equivalence import wheel_changes
-from sunspin.estimate.evidence import PassFits, share_noise
+from sunspin.estimate.evidence import PassFits, best_fit, share_noise
 from sunspin.estimate.images import images_of
 from sunspin.estimate.model import SUN_N, Body, Model, Noise
 from sunspin.estimate.observe import (
+    MEASURED,
     Pass,
     observe,
     select_passes,
@@ -52,6 +53,7 @@ from sunspin.estimate.solutions import Solutions, solutions
 from sunspin.estimate.starts import allowed_directions, fine_up_to
 from sunspin.estimate.terms.panels import Panels
 from sunspin.estimate.verdict import (
+    WHEEL_CHANGES,
     WHEEL_LACKS,
     advise_lower_limit,
     count_of_passes,
@@ -228,6 +230,7 @@ def rates(
     # the result and its checks
     nominal = fitted.nominal.under(common_noise(fits))
     result = motion_dataset(assessment, readings, passes, solved, nominal, noise is not None)
+    result = result.assign_attrs(wheels=fitted.wheels, wheel_change=fitted.wheel_change)
     left_open, counts = left_open_by_search(result, fits, solved, effort, settings)
     epoch = assessment.telemetry.attrs.get("epoch_utc")
     result = result.assign(verdict_variables(passes, solved, left_open, nominal.rate_sigma, epoch))
@@ -239,8 +242,6 @@ def rates(
         | counts
         | pass_attrs
         | {
-            "wheels": fitted.wheels,
-            "wheel_change": fitted.wheel_change,
             "effort": float(sum(pass_fits.used for pass_fits in fits)) / (USUAL * len(fits)),
             "samples_searched": kept,
             "times_rounded_to_s": float(readings.obs.time_sigma_s * np.sqrt(12)),
@@ -485,6 +486,8 @@ def left_open_by_search(
       body far between two samples: the nutation of a body that is no sphere looks like such torques;
     - the inertia is stated, no wheel is, only the Sun is measured, and the torques reach `WHEEL_STRENGTH`: a wheel may run. Of 10
       files that lack a wheel with 0.1 to 2 times the momentum of the body three were decided and wrong, two under such torques;
+    - the rate has several steps, and no column gives the speed of a wheel, which may have changed: of 24 passes with a braked wheel
+      one had such a fit, and was decided 20 sigma off;
     - the speed of a wheel is unknown, or the gain of a panel is and only the Sun is measured.
     """
     wheels, gains = result.attrs["wheels_untold"], result.attrs["gains_unknown"]
@@ -510,6 +513,9 @@ def left_open_by_search(
         wheel_lacks = of_pass.noise[0] >= WHEEL_STRENGTH and not model.obs.momentum.any()
         if strength_estimated and wheel_lacks and model.obs.only_sun and not model.body.sphere:
             reasons.append(WHEEL_LACKS)
+        wheel_may_change = model.obs.momentum.any() and result.attrs["wheels"] != MEASURED
+        if wheel_may_change and len(best_fit(pass_fits.fits).model.noise.steps) > 1:
+            reasons.append(WHEEL_CHANGES)
         if wheels:
             reasons.append(
                 f"the speed of wheel {wheels} is unknown: give speed_rad_s or a speed_column"

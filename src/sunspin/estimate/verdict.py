@@ -53,6 +53,9 @@ UPPER = 0.95
 WHEEL_LACKS = "torques too strong for a satellite: if a wheel turns, state it with its speed; else check the inertia"
 """Why a body with a stated inertia and without wheels is not decided from Sun directions alone, and what to do."""
 
+WHEEL_CHANGES = "the rate changes in steps, and a wheel may have changed its speed: give its speed_column, or cut the pass there"
+"""Why a body whose rate has several steps is not decided if no column gives the speed of a wheel, and what to do."""
+
 SUN_ALONE = "only Sun directions were used: rotation about the Sun direction is constrained only by the dynamics"
 
 FIELD_ALONE = (
@@ -420,8 +423,9 @@ def rates_words(result: xr.Dataset) -> str:
             f"{count_of_passes(count)}: coarse search, a solution may be missing: "
             f"{advise_lower_limit(attrs['fine_up_to_rad_s'])}"
         )
-    if count := sum(WHEEL_LACKS in str(why) for why in result["why_not_decided"].values):
-        notes.append(f"{count_of_passes(count)}: {WHEEL_LACKS}")
+    for reason in (WHEEL_LACKS, WHEEL_CHANGES):
+        if count := sum(reason in str(why) for why in result["why_not_decided"].values):
+            notes.append(f"{count_of_passes(count)}: {reason}")
     if wheels := attrs["wheels_untold"]:
         notes.append(
             f"WHEEL SPEED UNKNOWN ({wheels}): assumed 0, so the solution may be wrong. Give speed_rad_s or a speed_column, or "
