@@ -23,7 +23,7 @@ from sunspin.estimate.between import link_passes
 from sunspin.estimate.budget import USUAL, Budget
 from sunspin.estimate.changed_wheel import changed_wheel
 from sunspin.estimate.columns import check_columns, cost_of_silent_panels
-from sunspin.estimate.equivalence import wheel_changes
+from sunspin.estimate.equivalence import CLEARLY, wheel_changes
 from sunspin.estimate.evidence import PassFits, best_fit, share_noise
 from sunspin.estimate.images import images_of
 from sunspin.estimate.model import SUN_N, Body, Model, Noise
@@ -64,6 +64,7 @@ from sunspin.estimate.wheels import (
     Reversed,
     decide_wheels,
     doubted_signs,
+    log_evidence,
     longest_passes,
     model_of_kept,
     search_reversed,
@@ -299,19 +300,30 @@ def fit_passes(
         new_fits = PassBar(new_fits, "rates", len(unfitted), leave=False, unit="pass")
     fits_by_pass = wheels.fits | dict(zip(unfitted, new_fits, strict=True))
     fits = [fits_by_pass[k] for k in range(len(passes))]
-    change = ""
+    compared = longest_passes(passes)
+    of_file = [(passes[k], fits[k]) for k in compared]
+    doubt = doubted_signs(nominal.obs, of_file, *searches, fitter)
+    as_stated = FittedPasses(nominal, wheels.words, "", fits, doubt)
     vehicle = assessment.vehicle
     speeds_known = "wheel_speed_rad_s" in assessment.telemetry or vehicle.inertia_kg_m2 is None
-    if vehicle.wheels and not speeds_known:
-        changed = changed_wheel(vehicle, nominal, passes, fits, fitter)
-        if changed is not None:
-            nominal, fits, change = changed.nominal, changed.fits, changed.change.words(vehicle)
-            # a reversed wheel may change its speed too
-            of_change = nominal.obs.momentum - wheels.momentum
-            searches = search_reversed(assessment, wheels.name, nominal, longest, fitter, of_change)
-    compared = [(passes[k], fits[k]) for k in longest_passes(passes)]
-    doubt = doubted_signs(nominal.obs, compared, *searches, fitter)
-    return FittedPasses(nominal, wheels.words, change, fits, doubt)
+    if not vehicle.wheels or speeds_known:
+        return as_stated
+
+    # A wheel may have changed its speed. But one that turns the other way may look so: if that fits as well, its sign is in doubt.
+    changed = changed_wheel(vehicle, nominal, passes, fits, fitter)
+    if changed is None:
+        return as_stated
+    gain = sum(log_evidence(changed.fits[k]) - log_evidence(fits[k]) for k in compared)
+    if doubt is not None and doubt.gain > gain - CLEARLY:
+        return as_stated
+    # a reversed wheel may change its speed too
+    obs, words = changed.nominal.obs, changed.change.words(vehicle)
+    searches = search_reversed(
+        assessment, wheels.name, changed.nominal, longest, fitter, obs.momentum - wheels.momentum
+    )
+    with_change = [(passes[k], changed.fits[k]) for k in compared]
+    doubt = doubted_signs(obs, with_change, *searches, fitter)
+    return FittedPasses(changed.nominal, wheels.words, words, changed.fits, doubt)
 
 
 def solve_passes(
