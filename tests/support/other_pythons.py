@@ -23,14 +23,17 @@ SMOKE = (
     "tests/test_imports.py::test_every_module_imports",
     "tests/test_vehicle.py",
     "tests/telemetry/test_sun.py",
-    "tests/dynamics/test_propagate.py",
     "tests/dynamics/test_impact.py",
     "tests/estimate/test_metrics.py",
 )
 """One file of each layer that compiles no kernel."""
 
-NEWEST = ("tests/cli/test_cli.py", "tests/cli/test_simulate.py")
-"""On the newest version alone: commands, and the compiler, which is the last to know a version."""
+NEWEST = (
+    "tests/dynamics/test_propagate.py",
+    "tests/cli/test_cli.py",
+    "tests/cli/test_simulate.py",
+)
+"""On the newest version alone: motions, commands, and the compiler, which is the last to know a version."""
 
 
 def interpreter(version: str) -> str | None:
