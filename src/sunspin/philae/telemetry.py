@@ -300,10 +300,14 @@ def find_likely_rebounds(
 ) -> list[tuple[int, ReboundDraw]]:
     """Return those of the rebounds of descent `number`, with their numbers, that pass the first screen.
 
-    `common_z` (n): quantiles of the common r_z distribution of the published lines (`common_distribution`).
+    There are none if no descent with the panels of this number is as printed. `common_z` (n): quantiles of
+    the common r_z distribution of the published lines (`common_distribution`).
     """
     case = load_case("philae")
-    descent = draw_descent(case, seed, number)
+    try:
+        descent = draw_descent(case, seed, number)
+    except InputError:  # none of `MOST_DRAWS` was accepted
+        return []
     first, (low, high) = number * REBOUNDS_PER_DESCENT, COMMON_EMD
     likely = []
     for k in range(first, first + REBOUNDS_PER_DESCENT):
