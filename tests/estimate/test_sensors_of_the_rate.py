@@ -13,6 +13,7 @@ from sunspin.estimate.settings import GYRO_ZEROS, RATES
 from sunspin.estimate.terms.inertial import RateMagnitudes
 from sunspin.vehicle.sensors import RateSize, Sensors
 from tests.support.passes import errors_in_sigmas, estimate, stated_model
+from tests.support.vehicles import SUN_VECTOR_FILE
 from validation.passes import (
     FACES,
     GYRO,
@@ -110,19 +111,15 @@ def test_a_zero_that_is_off_within_its_stated_sigma_is_estimated():
 
 NOISE_RAD_S = 2e-3
 PART = RateSize("rate", 1.0, NOISE_RAD_S)
-VEHICLE = """
-name = "with the size of its rate"
-[telemetry]
-time_format = "elapsed"
-epoch_utc = "2026-01-01T00:00:00Z"
-[sun_vector]
-columns = ["sx", "sy", "sz"]
-sigma_rad = 0.02
+VEHICLE = (
+    SUN_VECTOR_FILE
+    + """
 [rate_size]
 column = "rate"
 scale_rad_s = {scale}
 noise_rad_s = 1e-3
 """
+)
 
 
 def aliased(part=PART, factor=1.0):

@@ -78,3 +78,15 @@ def random_vehicle(
         friction = Friction(dry * rng.uniform(0.5, 1.5), viscous * rng.uniform(0.5, 1.5))
         wheels.append(Wheel(f"w{i}", axis / np.linalg.norm(axis), 0.02, 0.0, friction))
     return Vehicle("random", inertia, 12.0, wheels=wheels)
+
+
+SUN_VECTOR_FILE = """
+name = "with a Sun vector"
+[telemetry]
+time_format = "elapsed"
+epoch_utc = "2026-01-01T00:00:00Z"
+[sun_vector]
+columns = ["sx", "sy", "sz"]
+sigma_rad = 0.02
+"""
+"""Text of the file of a vehicle whose telemetry has the direction to the Sun, at times counted from an epoch."""

@@ -8,6 +8,7 @@ from sunspin.base.errors import InputError
 from sunspin.telemetry.column_periods import describe_periods, read_column_periods
 from sunspin.telemetry.periodicity import FALSE_ALARM, find_period, find_periods
 from sunspin.vehicle.file import parse_vehicle
+from tests.support.vehicles import SUN_VECTOR_FILE
 
 TRUE_S = 47.0
 SHORTEST_S = 15.0
@@ -104,22 +105,11 @@ def test_stretches_between_gaps_are_searched_by_themselves():
             find_periods(t_s, np.sin(t_s), shortest_s)
 
 
-VEHICLE = """
-name = "with a signal strength"
-[telemetry]
-time_format = "elapsed"
-epoch_utc = "2026-01-01T00:00:00Z"
-[sun_vector]
-columns = ["sx", "sy", "sz"]
-sigma_rad = 0.02
-"""
-
-
 def test_columns_of_a_file_that_no_sensor_reads_are_read_and_have_periods(tmp_path):
     """A signal strength with a period and a column that is always the same; only the part that is used counts."""
     t_s, value = light_curve(3)
     rows = [f"{t:.3f},1,0,0,{v:.4f},7" for t, v in zip(t_s, value, strict=True)]
-    path, craft = tmp_path / "telemetry.csv", parse_vehicle(VEHICLE, "v.toml")
+    path, craft = tmp_path / "telemetry.csv", parse_vehicle(SUN_VECTOR_FILE, "v.toml")
     path.write_text("\n".join(["time,sx,sy,sz,rssi,same", *rows]), "utf-8")
     data = ss.read_telemetry(path, craft, columns=["rssi"])
     assert data["column_reading"].dims == ("time", "column")

@@ -44,7 +44,8 @@ def compare(folder, paths, frame, base, epoch, output) -> None:
     if output.folder is not None:
         what, do = "--out is for two results folders", "leave it out with other files"
         raise InputError(what, got=str(paths[0]), do=do)
-    from sunspin.output.export.against import against_kernels, against_message, is_message
+    from sunspin.output.export.against import against_kernels, against_message
+    from sunspin.output.export.attitude_message import is_message
 
     if len(paths) == 1 and frame is None and base is None and is_message(paths[0]):
         summary, line = against_message(folder, paths[0], epoch)

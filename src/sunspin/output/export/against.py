@@ -13,20 +13,12 @@ from sunspin.base.errors import InputError
 from sunspin.base.untrusted import IsolatedRunError, is_nonempty_file, run_isolated
 from sunspin.dynamics.propagate import MAX_RATE
 from sunspin.output.export import AttitudeHistory, build_attitude, read_attitude_data
-from sunspin.output.export.attitude_message import read_message
+from sunspin.output.export.attitude_message import is_message, read_message
 from sunspin.output.export.ck import ephemeris_time, import_spice
 from sunspin.output.text import number_text
 
 KERNEL_S = 20
 """CPU time (s) that the process that reads the kernels may take."""
-
-
-def is_message(path: Path) -> bool:
-    """Return whether a file begins like an attitude ephemeris message, in KVN or XML."""
-    if not is_nonempty_file(path):
-        return False
-    with open(path, "rb") as file:
-        return file.read(9).startswith((b"CCSDS_AEM", b"<?xml"))
 
 
 def against_kernels(

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation, RotationSpline
 
 from sunspin.base.errors import InputError
-from sunspin.base.untrusted import plain_number, read_bytes
+from sunspin.base.untrusted import is_nonempty_file, plain_number, read_bytes
 from sunspin.environment.frames import J2000
 from sunspin.telemetry.times import parse_utc
 
@@ -52,6 +52,14 @@ class Segment(NamedTuple):
             attitude[shown] = motion(at_s[shown]).inv().as_quat()
             rate[shown] = motion(at_s[shown], 1)
         return attitude, rate
+
+
+def is_message(path: Path) -> bool:
+    """Return whether a file begins like an attitude ephemeris message, in KVN or XML."""
+    if not is_nonempty_file(path):
+        return False
+    with open(path, "rb") as file:
+        return file.read(9).startswith((b"CCSDS_AEM", b"<?xml"))
 
 
 def read_message(path: Path) -> list[Segment]:
