@@ -52,7 +52,9 @@ def compare(folder, paths, frame, base, epoch, output) -> None:
         output.report(summary, [line])
         return
     if frame is None:
-        do = "name the body's frame in the kernels, or give two results folders"
+        do = (
+            "name the body's frame in the kernels, or give a second results folder or one AEM (KVN)"
+        )
         raise InputError("--frame is missing", do=do)
     summary, line = against_kernels(folder, paths, frame, base or "J2000", epoch)
     output.report(summary, [line])

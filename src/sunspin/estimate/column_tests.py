@@ -99,14 +99,14 @@ class BetterChanges:
     """Changes that fit better than the file as it is written, and that the telemetry cannot distinguish from each other.
 
     `gain`: log evidence by which they are better; `at_s`: time of their rates; `fits`: whether the pass fits with them, or only
-    better than as written; `cost`: minus log posterior of the best solution with the first of them.
+    better than as written; `estimate`: result of `rates` with the first of them, None if none was made.
     """
 
     changes: tuple[ChangeWithRate, ...]
     gain: float
     at_s: float = np.nan
     fits: bool = True
-    cost: float = np.nan
+    estimate: xr.Dataset | None = None
 
     def words(self, clock: Callable[[float], str] = lambda t: f"{t:.0f} s") -> str:
         """Return a sentence for the verdict, with a line for each of several changes.
@@ -242,10 +242,10 @@ def what_fits_better(
         if without is None:
             continue
         fits_without_one = True
-        # other axes of any sensor count before exchanged columns or a contradicting sensor
-        better = _other_axes(observed, telemetry, name, without, estimators)
-        if better is not None:
-            return better
+        # other axes of any sensor count before a contradicting sensor
+        axes = _other_axes(observed, telemetry, name, without, estimators)
+        if axes is not None:
+            return _axes_or_columns(axes, observed, telemetry, estimators)
         if first_cause is None:
             first_cause = _exchanged_by_sensor(observed, telemetry, name, without, estimators)
         if first_cause is None and _contradicts(observed.vehicle, telemetry, name, without):
@@ -356,16 +356,20 @@ def _best_of_candidates(
 
     # the best are estimated in full
     fitting: list[ChangeWithRate] = []
-    best, at_s = -np.inf, np.nan
+    best, best_estimate = -np.inf, None
     for k in ranked[:MOST_RUNS]:
         if gains[k] < best - CLEARLY:  # clearly worse than one that fits
             break
         result = estimators.estimate_if_fits(*searched[k].applied(observed.vehicle, telemetry))
         if result is not None:
-            best, at_s = max(best, float(gains[k])), rate_at_mid_time(result)[1]
+            if best_estimate is None:
+                best, best_estimate = float(gains[k]), result
             others = [change for change, _ in candidates]
             fitting += with_equivalents(observed, searched[k], result, others)
-    return BetterChanges(tuple(fitting), best, at_s) if fitting else None
+    if best_estimate is None:
+        return None
+    at_s = rate_at_mid_time(best_estimate)[1]
+    return BetterChanges(tuple(fitting), best, at_s, estimate=best_estimate)
 
 
 def rival_exchanges(
@@ -413,8 +417,8 @@ def rival_exchanges(
         if result is not None:
             gain = gain_in_evidence(result, as_written)
             same = tuple(with_equivalents(observed, change, result, others))
-            at_s, cost = rate_at_mid_time(result)[1], float(result["cost"].values[0, 0])
-            rivals.append(BetterChanges(same, gain, at_s, cost=cost))
+            at_s = rate_at_mid_time(result)[1]
+            rivals.append(BetterChanges(same, gain, at_s, estimate=result))
     return sorted(rivals, key=lambda rival: -rival.gain)
 
 
@@ -668,7 +672,27 @@ def _other_axes(
     omega, at_s = rate_at_mid_time(result)
     others = [*column_changes(vehicle, telemetry), *wheel_changes(vehicle)]
     same = with_equivalents(observed, changes[best], result, others)
-    return BetterChanges((*same, *(ChangeWithRate(changes[k], omega) for k in ties)), gain, at_s)
+    as_well = (ChangeWithRate(changes[k], omega) for k in ties)
+    return BetterChanges((*same, *as_well), gain, at_s, estimate=result)
+
+
+def _axes_or_columns(
+    axes: BetterChanges, observed: Observed, telemetry: xr.Dataset, estimators: Estimators
+) -> BetterChanges:
+    """Return other axes of a sensor, or the changes of columns, panels and wheels that are clearly better; both if neither is.
+
+    Two exchanged columns may nearly mirror the motion that the panels show. A right sensor then fits it along mirrored axes. Panels
+    that are lit for a short time, and the inertia, tell such causes apart: as both have errors, both causes may fit.
+    """
+    columns = _other_panels(observed, telemetry, estimators) if observed.panels else None
+    if columns is None or columns.estimate is None or axes.estimate is None:
+        return axes
+    gain = gain_in_evidence(columns.estimate, axes.estimate)
+    if abs(gain) > CLEARLY:
+        return columns if gain > 0 else axes
+    named = {change.change.what for change in axes.changes}
+    others = (change for change in columns.changes if change.change.what not in named)
+    return replace(axes, changes=(*axes.changes, *others))
 
 
 def _exchanged_by_sensor(
