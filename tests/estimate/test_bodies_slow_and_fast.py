@@ -131,10 +131,12 @@ def at_sparse_samples(*case):
     [
         # 9 deg/s, samples 37 s apart, inertia off by 3 %: held fast, no start near the truth survived five samples
         pytest.param((0, 4, 1), marks=pytest.mark.slow),
+        # 15.5 deg/s, every 32 s, nearly a sphere, inertia off by 2 %: which way it nutates is not known before the fit
+        pytest.param((11, 4, 1), marks=pytest.mark.long),
         # 4.9 deg/s, every 52 s: its alias one revolution slower costs 19 with the inertia free, the truth 9
         pytest.param((11, 7), marks=pytest.mark.slow),
     ],
-    ids=["wrong inertia", "free inertia"],
+    ids=["wrong inertia", "nutation unknown", "free inertia"],
 )
 def test_sparse_samples_are_decided_for_the_true_alias(case):
     found = at_sparse_samples(*case)

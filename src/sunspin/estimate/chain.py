@@ -657,7 +657,7 @@ class Chain:
 
     def fit(self, motions: Track, window: slice) -> Track:
         """Return motions fitted to a window."""
-        return fit(self.model.seeing(window), motions, steps=4).motions
+        return fit(self.model.seeing(window), motions, steps=self.s.steps).motions
 
     def kept(self, motions: Track, window: slice) -> Track:
         """Return motions without duplicates and without improbable ones, best first."""

@@ -42,6 +42,7 @@ from sunspin.estimate.settings import RatesSettings, SearchSettings
 from sunspin.estimate.starts import (
     aliases,
     aliases_about_two_axes,
+    inertia_leads_away,
     other_bodies,
     pair_starts,
     pairs_to_try,
@@ -256,8 +257,8 @@ def search_motions(
     There is a track for each model that is searched: several if readings may mean several things, as those of panels whose full
     scale is in doubt (`Model.for_search`). A model without a motion has no track. `slowest` (rad/s): slower starts are left out, as
     a search before this one had them. A single pair of samples to start from is then enough, and there may be no track at all. If
-    `slowest` is zero that raises InputError. `inertia_held`: the inertia is fixed in the search. If not, its errors are unknowns,
-    and the search takes longer.
+    `slowest` is zero that raises InputError. `inertia_held`: the inertia is fixed in the search, unless only the Sun is
+    measured and its errors may lead a fast body away. If it is not fixed, its errors are unknowns.
     """
     # If the known field leads the search, N follows the field, which turns in space. Even the true motion may then miss the limit
     # at which a motion fits, so a misfit is no reason to start from further pairs.
@@ -268,14 +269,16 @@ def search_motions(
     for model in models_to_search(nominal, Noise(noise)):
         in_window = model if sunlit is None else model.seeing(sunlit)
         starts, body = pair_starts(in_window, s, slowest), in_window.body
-        if not inertia_held:
+        held = inertia_held and not (in_window.obs.only_sun and inertia_leads_away(in_window, s))
+        if not held:
             # the errors of the inertia become unknowns again, zero in each start
             body = nominal.body
             starts = (
                 (window, replace(motions, u=np.zeros((len(motions), len(body.errors)))))
                 for window, motions in starts
             )
-        chain = Chain(replace(in_window, body=body), s)
+        steps = s.steps if held else s.steps_if_inertia_free
+        chain = Chain(replace(in_window, body=body), replace(s, steps=steps))
         try:
             places = 1 if slowest else pairs_to_try(in_window, s)
             motions = search(chain, starts, search_settings, budget, places)

@@ -122,10 +122,16 @@ def pairs_to_try(model: Model, s: SearchSettings) -> int:
     first = _ordered_pairs(model)[0]
     # of the first intervals, which mostly are the closest of the samples that the search keeps
     dense = np.diff(model.obs.t_s)[:3].max() * model.rate_max < DENSE_RAD
-    interval_s = float(model.obs.t_s[first + 1] - model.obs.t_s[first])
-    led_away = model.body.wander * model.rate_max * interval_s > s.basin_rad / 2
-    grid_suffices = not _constant_rate_holds(model, first) and not (led_away and model.obs.only_sun)
+    led_away = model.obs.only_sun and inertia_leads_away(model, s)
+    grid_suffices = not _constant_rate_holds(model, first) and not led_away
     return 1 if dense or gyro_decides(model, first) or grid_suffices else s.places
+
+
+def inertia_leads_away(model: Model, s: SearchSettings) -> bool:
+    """Return whether errors of a fixed inertia may turn the fastest body out of its basin between the first pair of samples."""
+    first = _ordered_pairs(model)[0]
+    interval_s = float(model.obs.t_s[first + 1] - model.obs.t_s[first])
+    return model.body.wander * model.rate_max * interval_s > s.basin_rad / 2
 
 
 def _ordered_pairs(model: Model) -> np.ndarray:
