@@ -3,8 +3,8 @@
 Each is fitted from the motions of the nominal model, and has the same prior probability unless it says otherwise. Sigmas are never
 enlarged by hand: an alternative that explains the readings adds its own motion and errors to the sum. Samples between the kept ones
 are propagated to by the equations of the nominal model (:func:`sunspin.estimate.dense.propagate_to_all`). So an alternative may add
-torques and change sensors, but not the momentum of the wheels, which :func:`sunspin.estimate.wheels.decide_wheels` decides for the
-file.
+torques and change sensors, but not the momentum of the wheels. That belongs to the nominal model of the file:
+:func:`sunspin.estimate.wheels.decide_wheels` chooses it, and :mod:`sunspin.estimate.changed_wheel` changes it within a pass.
 """
 
 from __future__ import annotations

@@ -1,9 +1,10 @@
 """Least-squares fits of motions to readings: attitude and rate at every sample are unknown (multiple shooting).
 
-Equation (smoother) of docs/model.md is minimised: differences from the readings at each sample, and how far neighbouring samples
-are from one motion (`Defects`). The normal equations are a chain of 6 x 6 blocks with a border for the unknowns that are constant
-in a pass, so a Gauss-Newton step takes a time linear in the number of samples. Each interval starts from its own state, so that
-errors of a poor start do not grow along the pass.
+The cost J of docs/rates.md ("What is minimised") has three parts: readings (:func:`readings`), equations of motion
+(:func:`defects`), and the prior of the unknowns and of the rate at the first sample. :func:`equations` adds them. The normal
+equations are a chain of 6 x 6 blocks with a border for the unknowns that are constant in a pass, so a Gauss-Newton step takes a
+time linear in the number of samples. Each interval starts from its own state, so that errors of a poor start do not grow along the
+pass.
 
 Attitudes are B_from_N, where z of N points to the Sun. A state changes by six numbers: a turn (rotation vector in body axes, rad)
 and a change of the rate (rad/s). In shapes and einsum strings k is a motion, n a sample or interval, i and j one of the six
@@ -189,7 +190,10 @@ def _transposed(matrices: np.ndarray) -> np.ndarray:
 
 
 def equations(model: Model, motions: Track) -> BorderedSystem:
-    """Return the cost of motions under a model, and its normal equations. Readings, equations of motion and priors contribute."""
+    """Return the cost J of motions under a model, and its normal equations.
+
+    The parts are added in this order: prior of the unknowns, readings, equations of motion, prior of the rate at the first sample.
+    """
     system = NormalEquations(motions)  # with the prior of the unknowns
     for residual, unknowns in readings(model, motions):
         system.add_readings(residual, unknowns)
@@ -526,7 +530,7 @@ def variance_of(fitted: Fit, weights: np.ndarray) -> np.ndarray:
 def propagate(model: Model, sample: int, attitude: np.ndarray, omega: np.ndarray) -> Track:
     """Return, at all samples, the motions without unknowns that have these attitudes (K, 3, 3) and rates (K, 3) at one `sample`."""
     k, n = len(omega), len(model.obs)
-    motions = Track.free(np.empty((k, n, 3, 3)), np.empty((k, n, 3)))
+    motions = Track.unfitted(np.empty((k, n, 3, 3)), np.empty((k, n, 3)))
     motions.attitude[:, sample], motions.omega[:, sample] = attitude, omega
     _propagate_outward(model, motions, sample, sample)
     return motions
@@ -586,7 +590,7 @@ def fit_single_shooting(model: Model, sample: int, motions: Track, steps: int) -
         omega = state[1]
         k = len(omega)
         # motions at all samples, and their derivatives by turn and rate at the sample
-        track = Track.free(np.empty((k, n, 3, 3)), np.empty((k, n, 3)))
+        track = Track.unfitted(np.empty((k, n, 3, 3)), np.empty((k, n, 3)))
         by_state = np.empty((k, n, 6, 6))
         track.attitude[:, sample], track.omega[:, sample] = state
         by_state[:, sample] = np.eye(6)
@@ -626,7 +630,7 @@ def fit_single_shooting(model: Model, sample: int, motions: Track, steps: int) -
         (motions.attitude[:, sample], motions.omega[:, sample]),
         steps=steps,
     )
-    return replace(Track.free(*solution.system.extras), cost=solution.system.cost)
+    return replace(Track.unfitted(*solution.system.extras), cost=solution.system.cost)
 
 
 def costs(obs: Observations, motions: Track) -> np.ndarray:
@@ -668,7 +672,7 @@ class Chain:
         model = self.model.seeing(wider)
         first, last = window.start - wider.start, window.stop - wider.start
         n, k = wider.stop - wider.start, len(motions)
-        propagated = Track.free(np.empty((k, n, 3, 3)), np.empty((k, n, 3)))
+        propagated = Track.unfitted(np.empty((k, n, 3, 3)), np.empty((k, n, 3)))
         propagated.attitude[:, first:last] = motions.attitude
         propagated.omega[:, first:last] = motions.omega
         _propagate_outward(model, propagated, first, last - 1)

@@ -6,6 +6,12 @@ same readings (:mod:`.equivalence`). No data distinguish the two, and no pass is
 If a pass does not fit, other columns are tried on it (:mod:`.column_tests`). On a file of panels alone that fits they are tried in
 three cases: its samples, each by itself, fit other columns far better; or they fit other columns as well, and only the motion shows
 which are right; or the data fit better with a wheel that turns the other way.
+
+What a result then has:
+
+- attrs["columns_unseen"]: changes that no data of the file distinguish from it; a pass stays decided;
+- attrs["columns_rivals"]: changes that fit about as well, with another rate; `columns_checked` is "unchecked";
+- attrs["columns_doubt"]: the sentence why no pass is decided; attrs["columns_changes"]: the changes that it names, in JSON.
 """
 
 from __future__ import annotations
@@ -73,7 +79,7 @@ from sunspin.estimate.verdict import (
 )
 from sunspin.estimate.wheels import Reversed, momentum_of_each, name_of_wheels
 from sunspin.telemetry.assess import Assessment, assess
-from sunspin.telemetry.sun import signals
+from sunspin.telemetry.signals import signals
 from sunspin.vehicle import Vehicle
 from sunspin.vehicle.timeline import utc_after
 
@@ -412,8 +418,8 @@ def estimators_of(
 ) -> Estimators:
     """Return the functions that estimate changed files as the file of a `result` was estimated: same wheels, same largest rate.
 
-    If a solution of the result is faster than its largest rate, which then nobody stated, quick searches go as far as its own
-    search.
+    Quick searches choose which changes are estimated in full; they leave out the orbit, its calibration and torques. If a solution
+    of the result is faster than its largest rate, which then nobody stated, they go as far as its own search.
     """
     attrs = result.attrs
     source = None if attrs["source"] == "directions" else attrs["source"]

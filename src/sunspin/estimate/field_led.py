@@ -109,7 +109,7 @@ def to_nominal_axes(nominal: Model, searched: Model, motions: Track, s: SearchSe
         if field is not None:
             # from rates relative to the axes that follow the field to rates in space
             omega = omega + np.einsum("knij,nj->kni", attitude, field.axes_rate_N())
-        tracks.append(Track.free(attitude, omega))
+        tracks.append(Track.unfitted(attitude, omega))
     fitted = fit(model, Track.joined(tracks), FIT_STEPS).motions
     if field is None:  # the Sun fits every angle alike: the fit with all unknowns decides later
         return fitted

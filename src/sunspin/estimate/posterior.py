@@ -1,6 +1,8 @@
 """Every motion of a lander that panel readings allow, with its probability, or the statement that none fits (docs/posterior.md).
 
 The steps are a search under the nominal model, fits of its motions under constant torques, draws of all models, and the verdict.
+Unlike in `rates` no random torques act between samples: the state at one instant, the reference, and the unknowns give the whole
+motion. So the readings also determine inertia and friction.
 """
 
 from __future__ import annotations
@@ -488,5 +490,6 @@ def _verdict_attributes(
         "log_evidence": mix.draws.log_evidence,
         "remarks": "; ".join(nominal.window.remarks),
         "spoilt_readings": float(outliers.sum()),
+        # probabilities of the models
         "hypotheses": json.dumps({what: round(share, 4) for what, share in probability.items()}),
     }

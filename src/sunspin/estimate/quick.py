@@ -44,7 +44,7 @@ def quick_evidence(
             except InputError:  # this meaning allows no motion
                 continue
         else:
-            motions = Track.free(known.attitude, known.omega)
+            motions = Track.unfitted(known.attitude, known.omega)
         for fitted in ladder(model, motions.take(slice(MOTIONS)), ladder_settings, s, s.noise):
             rung = RUNGS.index(fitted.model.noise.acceleration)
             log_evidence[rung] = np.logaddexp(log_evidence[rung], logsumexp(fitted.log_evidence))

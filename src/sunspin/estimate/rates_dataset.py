@@ -79,12 +79,12 @@ def motion_dataset(
     passes: Sequence[Pass],
     solved: Sequence[Solutions],
     nominal: Model,
-    noise_stated: bool,
+    torques_stated: bool,
 ) -> xr.Dataset:
     """Return the result of `rates` without its verdict: the best motion of each pass at all samples used, and all solutions.
 
     `solved`: the solutions of each of the `passes`, the most probable first. `nominal`: the nominal model under the most probable
-    strength of torques of the whole file; `noise_stated`: whether the vehicle file or the user gives that strength.
+    strength of torques of the whole file; `torques_stated`: whether the vehicle file or the user gives that strength.
     """
     used = np.concatenate([a_pass.samples for a_pass in passes])  # indices of samples of the file
     best = [of_pass.track.take(slice(0, 1)) for of_pass in solved]
@@ -124,7 +124,7 @@ def motion_dataset(
             "pass_id": [a_pass.number for a_pass in passes],
             "quaternion": ["x", "y", "z", "w"],
         },
-        attrs=_attributes(assessment, readings, used, nominal, noise_stated),
+        attrs=_attributes(assessment, readings, used, nominal, torques_stated),
     )
     return result.assign(_curves(solved, nominal))
 
@@ -134,7 +134,7 @@ def _attributes(
     readings: FileReadings,
     used: np.ndarray,
     nominal: Model,
-    noise_stated: bool,
+    torques_stated: bool,
 ) -> dict[str, Any]:
     """Return the attributes on the sensors that were used and on what was assumed; `used`: indices of the samples in a pass."""
     vehicle, telemetry = assessment.vehicle, assessment.telemetry
@@ -143,7 +143,7 @@ def _attributes(
         "source": readings.source,
         "acceleration_noise": nominal.noise.acceleration,
         "max_rate_rad_s": nominal.rate_max,
-        "acceleration_noise_from": "given" if noise_stated else "evidence of the data",
+        "acceleration_noise_from": "given" if torques_stated else "evidence of the data",
         "body": "nearly a sphere (no inertia)"
         if nominal.body.sphere
         else "rigid body with the vehicle's inertia and wheels",

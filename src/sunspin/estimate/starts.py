@@ -68,7 +68,8 @@ FAMILY_ANGLES = 200
 class PairStarts(NamedTuple):
     """Starts at the first of two neighbouring samples: directions to the Sun `sun_B` (K, 3) and rates `omega` (K, 3), rad/s.
 
-    `apart_rad`: how far the rotation between the two samples may be from that of the nearest start, as rotation vectors.
+    `apart_rad`: distance of neighbouring starts, as rotation vectors between the two samples. Whole revolutions about any axis are
+    twice as far apart.
     """
 
     sun_B: np.ndarray
@@ -123,7 +124,7 @@ def pairs_to_try(model: Model, s: SearchSettings) -> int:
     # of the first intervals, which mostly are the closest of the samples that the search keeps
     dense = np.diff(model.obs.t_s)[:3].max() * model.rate_max < DENSE_RAD
     interval_s = float(model.obs.t_s[first + 1] - model.obs.t_s[first])
-    led_away = model.body.wander * model.rate_max * interval_s > s.basin_rad / 2
+    led_away = model.body.angle_error * model.rate_max * interval_s > s.basin_rad / 2
     grid_suffices = not _constant_rate_holds(model, first) and not (led_away and model.obs.only_sun)
     return 1 if dense or gyro_decides(model, first) or grid_suffices else s.places
 
@@ -212,7 +213,7 @@ def allowed_directions(model: Model, sample: int) -> np.ndarray:
         if len(measured := term.starts(sample).directions):
             return measured
     grid = sphere(SKY_DIRECTIONS)
-    still = Track.free(facing(grid)[:, None], np.zeros((SKY_DIRECTIONS, 1, 3)))
+    still = Track.unfitted(facing(grid)[:, None], np.zeros((SKY_DIRECTIONS, 1, 3)))
     cost = costs(model.obs.take(slice(sample, sample + 1)), still)[:, 0]
     allowed = grid[cost < cost.min() + ALLOWED_COST]
     spanning = grid[[np.argmin(cost)]]
@@ -462,7 +463,7 @@ def _loosen_terms(model: Model, sample: int, apart_rad: float) -> Model:
     obs, q = model.obs, model.noise.acceleration
     away = np.abs(obs.t_s - obs.t_s[sample])  # s
     off_rad_s = START_ERROR * apart_rad / (obs.t_s[sample + 1] - obs.t_s[sample])
-    off_rad_s = np.hypot(off_rad_s, model.body.wander * model.rate_max)
+    off_rad_s = np.hypot(off_rad_s, model.body.angle_error * model.rate_max)
     # torques of the strength q turn the body by q sqrt(T^3 / 3) in the time T, and change its rate by q sqrt(T)
     drift = np.hypot(q * np.sqrt(away**3 / 3), off_rad_s * away)
     drift_rad_s = float(np.hypot(off_rad_s, q * np.sqrt(away.max())))

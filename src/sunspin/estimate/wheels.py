@@ -113,7 +113,7 @@ def decide_wheels(
         of_first = fits[first, k]
         if of_first is not None:
             best = best_motions(of_first.fits, s.most, s)
-            begin[k] = Track.free(best.attitude, best.omega) if len(best) else None
+            begin[k] = Track.unfitted(best.attitude, best.omega) if len(best) else None
     jobs = [(name, k) for name in alike for k in compared]
     fitted = fitter.fits_if_any([models[job] for job in jobs], [begin[k] for _, k in jobs])
     fits |= dict(zip(jobs, fitted, strict=True))
