@@ -52,6 +52,11 @@ class PassFits:
             total[rung] = np.logaddexp(total[rung], logsumexp(fitted.log_evidence))
         return total
 
+    @property
+    def log_evidence(self) -> float:
+        """Return the log evidence of the pass, summed over all strengths of torques, models and motions."""
+        return float(np.logaddexp.reduce(self.log_evidence_of_rungs() + self.log_rung))
+
 
 def ladder(
     model: Model,

@@ -14,7 +14,7 @@ from sunspin.base.errors import InputError
 from sunspin.dynamics.friction import spin_down_speed
 from sunspin.dynamics.torques import NOTHING, Acting
 from sunspin.environment import Environment, Surroundings
-from sunspin.estimate.model import Observations
+from sunspin.estimate.model import Model, Observations
 from sunspin.estimate.settings import PassSettings
 from sunspin.estimate.terms.directions import UNREAD, SunDirections
 from sunspin.estimate.terms.field import FieldChange, FieldDirection, KnownField, reads_directions
@@ -40,6 +40,9 @@ FIELD_ONLY = "used: the field alone; "
 
 NO_SUN = ("dropped: no panel lit", IDLE, EMPTY, UNREAD)
 """Statuses of samples that are dropped only because they show no Sun."""
+
+LONGEST_PASSES = 2
+"""Passes, those with the most samples, by whose evidence models and signs of the wheels are compared."""
 
 MEASURED = "measured"
 HELD = "held at the nominal speed"
@@ -89,6 +92,10 @@ class Pass:
     def kept_in_pass(self) -> np.ndarray:
         """Return the indices of the kept samples among those of the pass."""
         return np.searchsorted(self.samples, self.kept)
+
+    def model_of_kept(self, nominal: Model) -> Model:
+        """Return the model of the samples that the search keeps; `nominal`: that of the whole file."""
+        return replace(nominal, obs=nominal.obs.of_pass(self.samples).take(self.kept_in_pass))
 
 
 def observe(
@@ -275,6 +282,11 @@ def split_passes(readings: FileReadings, gap_s: float | None, s: PassSettings) -
             "no pass has three samples", got=f"gap between passes {gap:.4g} s", do="raise --gap"
         )
     return passes
+
+
+def longest_passes(passes: Sequence[Pass]) -> list[int]:
+    """Return the indices of the :data:`LONGEST_PASSES` passes with the most samples, the longest first."""
+    return sorted(range(len(passes)), key=lambda k: -len(passes[k].samples))[:LONGEST_PASSES]
 
 
 def select_passes(passes: Sequence[Pass], pass_id: int | None) -> list[Pass]:

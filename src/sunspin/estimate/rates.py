@@ -30,6 +30,7 @@ from sunspin.estimate.model import SUN_N, Body, Model, Noise
 from sunspin.estimate.observe import (
     MEASURED,
     Pass,
+    longest_passes,
     observe,
     select_passes,
     split_passes,
@@ -64,9 +65,6 @@ from sunspin.estimate.wheels import (
     Reversed,
     decide_wheels,
     doubted_signs,
-    log_evidence,
-    longest_passes,
-    model_of_kept,
     search_reversed,
 )
 from sunspin.telemetry.assess import Assessment, assess
@@ -295,7 +293,7 @@ def fit_passes(
     nominal = nominal.with_momentum(wheels.momentum)
     # the longest passes have their fits already if there were several models of the wheels
     unfitted = [k for k in range(len(passes)) if k not in wheels.fits]
-    new_fits = fitter.fits([model_of_kept(nominal, passes[k]) for k in unfitted])
+    new_fits = fitter.fits([passes[k].model_of_kept(nominal) for k in unfitted])
     if show_bar:
         new_fits = PassBar(new_fits, "rates", len(unfitted), leave=False, unit="pass")
     fits_by_pass = wheels.fits | dict(zip(unfitted, new_fits, strict=True))
@@ -313,7 +311,7 @@ def fit_passes(
     changed = changed_wheel(vehicle, nominal, passes, fits, fitter)
     if changed is None:
         return as_stated
-    gain = sum(log_evidence(changed.fits[k]) - log_evidence(fits[k]) for k in compared)
+    gain = sum(changed.fits[k].log_evidence - fits[k].log_evidence for k in compared)
     if doubt is not None and doubt.gain > gain - CLEARLY:
         return as_stated
     # a reversed wheel may change its speed too
