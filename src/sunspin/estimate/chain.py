@@ -287,16 +287,11 @@ def earlier_states(model: Model, obs: Observations, motions: Track) -> Earlier |
     The momentum of the wheels is taken as that at the sample. Return None if these sensors are read together with the Sun. `obs`:
     the samples at which the motions are given.
     """
-    clocks = [
-        (term, u_slice.start)
-        for term, u_slice in model.terms_with_slices
-        if isinstance(term, Latency) and (term.late_s or term.sigma_s)
-    ]
-    if not clocks:
+    clock = model.obs.of_kind(Latency)
+    if clock is None or not (clock.late_s or clock.sigma_s):
         return None
-    # a model has one latency; `start`: its index among the unknowns
-    clock, start = clocks[0]
-    index = start if clock.sigma_s else None
+    # of the latency among the unknowns
+    index = model.term_slices[model.obs.terms.index(clock)].start if clock.sigma_s else None
     error_s = 0.0 if index is None else clock.sigma_s * motions.u[:, index]
     late_s = clock.late_s + error_s + np.zeros(len(motions))
     momentum = obs.momentum

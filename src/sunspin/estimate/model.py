@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import product
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
@@ -25,6 +25,8 @@ from sunspin.vehicle import Vehicle
 
 if TYPE_CHECKING:
     from sunspin.estimate.terms.term import Term
+
+T = TypeVar("T", bound="Term")
 
 SUN_N = np.array([0.0, 0.0, 1.0])
 """The direction to the Sun in N, whose z axis follows it."""
@@ -204,6 +206,14 @@ class Observations:
     def __len__(self) -> int:
         """Return the number of samples."""
         return len(self.t_s)
+
+    def of_kind(self, kind: type[T]) -> T | None:
+        """Return the term of a class, of which there is one at most; None if there is none."""
+        return next((term for term in self.terms if isinstance(term, kind)), None)
+
+    def replacing(self, old: Term, new: Term) -> Observations:
+        """Return the observations with the term `new` in the place of `old`."""
+        return replace(self, terms=tuple(new if term is old else term for term in self.terms))
 
     def take(self, samples: Any) -> Observations:
         """Return some of the samples, by indices or slice."""

@@ -209,8 +209,8 @@ def with_alternatives(
             break
         new = fits_of_alternative(model, fits, settings, budget)
         # several possible sigmas of the zero mark the model of a magnetometer without a stated one (`alternatives.another_zero`)
-        fields = [term for term in model.obs.terms if isinstance(term, FieldChange)]
-        if new and any(len(term.zero_shares) > 1 for term in fields):
+        field = model.obs.of_kind(FieldChange)
+        if new and field is not None and len(field.zero_shares) > 1:
             gain = best_fit(new).log_evidence[0] - best_nominal_fit(fits).log_evidence[0]
             if gain > settings.alternatives.doubted:
                 with suppress(InputError):  # the search may find no motion
