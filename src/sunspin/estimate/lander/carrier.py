@@ -20,7 +20,7 @@ from sunspin.estimate.lander.families import (
 from sunspin.estimate.lander.fit import FINAL_ERROR, FitProblem, fit_finally, fit_window, in_pieces
 from sunspin.estimate.lander.grid import Reference, cell_count
 from sunspin.estimate.lander.model import ALL_SIZES, LanderModel, Sizes
-from sunspin.estimate.lander.motions import LanderMotions, ModelFit
+from sunspin.estimate.lander.motions import Doubt, LanderMotions, ModelFit
 from sunspin.estimate.lander.rate_grid import TRIAL_ERROR
 from sunspin.estimate.search import grown
 from sunspin.estimate.settings import PosteriorSettings
@@ -48,8 +48,8 @@ class Stage(NamedTuple):
 class Shooting:
     """Steps of a search for motions that are given by one state at the reference (:class:`sunspin.estimate.search.Carrier`).
 
-    Samples are at the times `t_s` (n) from the reference; a window is a slice of them. `notes`: remarks on the search for the
-    verdict; `complete`: no motion that may fit was left out; `work`: motions times samples fitted so far; `stages`: windows so far.
+    Samples are at the times `t_s` (n) from the reference; a window is a slice of them. `doubts`: on the search so far;
+    `work`: motions times samples that were fitted; `stages`: windows.
     """
 
     def __init__(
@@ -71,8 +71,7 @@ class Shooting:
             self.sizes = {"inertia": 0, "steady_torque": torque_size}
         self.settings, self.s = settings, settings.shooting
         self.workers = worker_count(workers)
-        self.notes: list[str] = list(reference.notes)
-        self.complete = not reference.notes
+        self.doubts = reference.doubts
         self.work = 0
         self.stages: list[Stage] = []
         self._fitted_to_window = 0
@@ -82,11 +81,10 @@ class Shooting:
         size = self.s.searched_under
         return Shooting(model, self.reference, self.settings, self.workers, size)
 
-    def _note(self, text: str, *, complete: bool) -> None:
-        """Add a remark for the verdict, unless it is there; if not `complete`, the search has left out motions that may fit."""
-        self.complete &= complete
-        if text not in self.notes:
-            self.notes.append(text)
+    def _doubt(self, text: str, *, left_out: bool) -> None:
+        """Add a doubt, unless it is there; `left_out`: the search has left out motions that may fit."""
+        if (doubt := Doubt(text, left_out)) not in self.doubts:
+            self.doubts.append(doubt)
 
     def fit(self, motions: LanderMotions, window: slice) -> LanderMotions:
         """Return motions fitted to the samples of a window, under one level after the other: a factor on the noise, with its steps.
@@ -148,7 +146,7 @@ class Shooting:
             order = np.argsort(motions.cost, kind="stable")[: s.kept_anyway]
             possible = np.zeros(len(motions), dtype=bool)
             possible[order[np.isfinite(motions.cost[order])]] = True
-            self._note(f"no motion is within the noise {size}", complete=True)
+            self._doubt(f"no motion is within the noise {size}", left_out=False)
         # copies are near in rate and direction up to the end of the next window or, with body and wheel free, on one ridge
         wider = grown(self.t_s, window, self.settings.search.growth)
         reach_s = float(np.abs(self.t_s[wider]).max())
@@ -165,7 +163,7 @@ class Shooting:
         """
         if len(motions) <= most:
             return motions
-        self._note(f"more trial solutions than the search can follow {where}", complete=False)
+        self._doubt(f"more trial solutions than the search can follow {where}", left_out=True)
         even = np.linspace(0, len(motions) - 1, most).round().astype(int)
         return motions.take(np.unique(even))
 
@@ -310,12 +308,12 @@ class Shooting:
         distinct = distinct_fits(ModelFit(self.model, fitted, evidence), self.s)
         most = self.s.most_fitted
         if len(distinct) > most:
-            self._note(f"more than {most} solutions", complete=True)
+            self._doubt(f"more than {most} solutions", left_out=False)
             distinct = distinct.take(slice(most))
         # each start was fitted once for each of `begins`
         motions = distinct.motions
         motions = replace(motions, starts=-(-motions.starts // len(begins)))
-        return replace(distinct, motions=motions, complete=self.complete, notes=tuple(self.notes))
+        return replace(distinct, motions=motions, doubts=tuple(self.doubts))
 
 
 def log_evidence(model: LanderModel, cost: np.ndarray, curvature: np.ndarray) -> np.ndarray:
