@@ -59,7 +59,7 @@ KINDS = {
     "fault: gyro zero off": 12,
     "wheel braked": 12,
 }
-"""Number of passes of each kind."""
+"""Number of passes of each kind. The scoreboard makes four of each, or with --full half of them, for each seed."""
 
 AT_ALL_SAMPLES = ("wheel braked",)
 """Kinds that are judged at all samples of a pass, and not only in its middle: the motion changes there."""

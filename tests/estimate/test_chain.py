@@ -158,7 +158,7 @@ def test_states_and_unknowns_of_a_fit_keep_positive_variances(simulated):
     model = Model(obs, Body.of(simulated.vehicle), Noise(5e-6), 0.075)
     near = np.searchsorted(simulated.telemetry["time"].values, obs.t_s)
     still = np.tile(np.eye(3), (1, len(obs), 1, 1))
-    one = fit(model, Track.free(still, simulated.omega[None, near]), 30)
+    one = fit(model, Track.unfitted(still, simulated.omega[None, near]), 30)
     assert np.linalg.eigvalsh(one.u_covariance).min() > 0
     assert np.linalg.eigvalsh(one.motions.covariance).min() > 0
 
@@ -168,7 +168,7 @@ def test_a_fit_without_a_minimum_is_not_moved_by_other_sigmas_of_its_unknowns():
     model = stated_model(simulated.vehicle, simulated.telemetry, rate_sigma=0.035)
     obs = model.obs
     still = np.tile(np.eye(3), (1, len(obs), 1, 1))
-    one = fit(model, Track.free(still, np.zeros((1, len(obs), 3))), 20)
+    one = fit(model, Track.unfitted(still, np.zeros((1, len(obs), 3))), 20)
     broken = replace(one, u_covariance=one.u_covariance - 2 * np.eye(len(model.unknowns)))
     summed = sum_over_shares(broken, 3.0)
     np.testing.assert_array_equal(summed.motions.u, one.motions.u)

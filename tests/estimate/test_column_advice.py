@@ -11,7 +11,7 @@ import pytest
 import sunspin as ss
 from sunspin.cli.rates import SENSOR_VARIABLES
 from sunspin.estimate.column_tests import (
-    SENSORS,
+    SENSOR_NAMES,
     BetterChanges,
     ChangeWithRate,
     ContradictingSensor,
@@ -211,9 +211,9 @@ def test_the_advice_for_exchanged_columns_and_a_reversed_wheel_is_to_change_both
     assert "look at the signs of axis_B, speed_rad_s and speed_scale_rad_s of w" in advice
 
 
-@pytest.mark.parametrize("name", SENSORS)
+@pytest.mark.parametrize("name", SENSOR_NAMES)
 def test_each_sensor_in_the_way_is_named_by_the_option_that_leaves_it_out(name):
-    match = re.search(r"`--without (\w+)`", ContradictingSensor(SENSORS[name]).words())
+    match = re.search(r"`--without (\w+)`", ContradictingSensor(SENSOR_NAMES[name]).words())
     assert match is not None and SENSOR_VARIABLES[match[1]] == name
 
 

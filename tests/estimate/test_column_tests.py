@@ -244,7 +244,8 @@ def test_no_pass_is_decided_if_a_sensor_contradicts_the_others(monkeypatch):
     assert result["decided"].all()
     monkeypatch.setattr(columns, "what_fits_better", lambda *_: ContradictingSensor("gyro"))
     observed = columns.what_was_observed(made.vehicle, made.telemetry, result.attrs)
-    doubted = columns._with_other_columns(result, observed, made.telemetry, Estimators)
+    doubt = columns._other_columns(result, observed, made.telemetry, Estimators)
+    doubted = doubt.written(result)
     assert not doubted["decided"].any()
     assert "the gyro contradicts the other readings" in str(doubted["why_not_decided"].values[0])
     assert "`--without gyro`" in doubted.attrs["columns_doubt"]

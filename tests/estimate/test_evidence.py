@@ -266,7 +266,7 @@ def mean_likelihood(model, sigma, wander=0.0):
             sun = Rotation.from_rotvec(turn).apply(sun)
         suns.append(sun)
     sun = facing(np.stack(suns, axis=1))
-    cost = costs(model.obs, Track.free(sun, np.zeros((*sun.shape[:2], 3)))).sum(axis=1)
+    cost = costs(model.obs, Track.unfitted(sun, np.zeros((*sun.shape[:2], 3)))).sum(axis=1)
     return np.log(np.exp(-cost).mean() * (1 - np.cos(cap)) / 2)
 
 
@@ -340,7 +340,7 @@ def test_an_oscillation_pays_for_gains_that_are_not_known_as_a_rotation_does():
     for u in errors:
         held = replace(model.obs, terms=(term.with_fixed_unknowns(np.array([u])),))
         of_swing.append(log_mean_likelihood(held, wander)[0])
-        start = Track.free(nominal.motions.attitude, nominal.motions.omega)
+        start = Track.unfitted(nominal.motions.attitude, nominal.motions.omega)
         of_rotation.append(fit(replace(model, obs=held), start, 20, 1e-6).log_evidence[0])
     prior = np.exp(-(errors**2) / 2) / np.sqrt(2 * np.pi)
     log_swing, log_rotation = (

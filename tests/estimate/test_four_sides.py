@@ -54,7 +54,7 @@ def test_a_full_scale_without_a_motion_leaves_the_search_to_the_other(monkeypatc
         monkeypatch.setattr(one_pass, "search", Mock(side_effect=results))
         return one_pass.search_motions(model, 1e-4, SEARCH, Budget(np.inf))
 
-    motions = Track.free(np.eye(3)[None, None], np.zeros((1, 1, 3)))
+    motions = Track.unfitted(np.eye(3)[None, None], np.zeros((1, 1, 3)))
     motions = replace(motions, cost=np.zeros(1))
     assert len(searched_with(refuse, motions)) == len(searched_with(motions, refuse)) == 1
     with pytest.raises(InputError):

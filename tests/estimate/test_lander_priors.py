@@ -210,7 +210,7 @@ def test_a_prior_with_too_many_starts_is_refused_with_their_number_and_the_limit
         place(rate)
     most = float(str(refused.value).split("give ")[1].split()[0])
     assert 0.6 < most < rate and place(most).limit <= most
-    assert not place(0.6).notes  # the default is searched whole
+    assert not place(0.6).doubts  # the default is searched whole
 
 
 def of_inertia(relative: float, products: float = 0.0, **changes) -> Vehicle:

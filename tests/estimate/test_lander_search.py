@@ -143,7 +143,8 @@ def test_the_search_lists_the_true_motion():
     off = fit.motions.omega[0] - true_motion(result.carrier.model.after_s)[0]
     covariance = np.linalg.inv(fit.motions.curvature[0])[:3, :3]
     assert off @ np.linalg.solve(covariance, off) < 4.5**2
-    assert fit.complete and fit.log_evidence[0] == fit.log_evidence.max()
+    assert not any(doubt.left_out for doubt in fit.doubts)
+    assert fit.log_evidence[0] == fit.log_evidence.max()
 
 
 def shooting(**changes) -> tuple[Shooting, Reference]:
@@ -158,7 +159,7 @@ def test_more_motions_than_can_be_followed_are_thinned_evenly_and_said():
     motions = LanderMotions(none + OMEGA, none + SUN, none, cost=0.1 * np.arange(100))
     kept = carrier._at_most(motions, 10, "(5 samples)")
     assert len(kept) == 10 and kept.cost[[0, -1]] == pytest.approx([0.0, 9.9])
-    assert not carrier.complete and "more trial solutions" in carrier.notes[-1]
+    assert carrier.doubts[-1].left_out and "more trial solutions" in carrier.doubts[-1].text
 
 
 def test_the_largest_rate_that_a_warning_advises_leaves_as_many_motions_as_are_followed(caplog):

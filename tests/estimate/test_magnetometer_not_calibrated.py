@@ -43,7 +43,7 @@ def true_motion(truth, t_s) -> Track:
     sun = there["sun_N"].values[0]
     to_sun, _ = Rotation.align_vectors([sun], [[0.0, 0.0, 1.0]])
     attitude = Rotation.from_quat(there["B_from_N"].values) * to_sun
-    return Track.free(attitude.as_matrix()[None], there["omega_B"].values[None])
+    return Track.unfitted(attitude.as_matrix()[None], there["omega_B"].values[None])
 
 
 @pytest.fixture(scope="module")

@@ -216,7 +216,7 @@ def test_errors_of_times_turn_directions_across_the_motion_and_cost_the_density_
     obs = Observations(np.arange(6.0), np.zeros((6, 3)), (sun,), 0.5)
     model = Model(obs, Body(np.eye(3), np.zeros((0, 3, 3))), Noise(1e-4), 0.1)
     attitude = np.broadcast_to(np.eye(3), (1, 6, 3, 3))
-    motion = Track.free(attitude, np.broadcast_to(0.1 * axis, (1, 6, 3)))
+    motion = Track.unfitted(attitude, np.broadcast_to(0.1 * axis, (1, 6, 3)))
     wider = with_time_errors(model, [motion], 0.02)
     assert np.allclose(wider.obs.terms[0].covariance[:, 0, 0], 0.01**2 + 0.025**2)
     # the density at the centre of two normal numbers falls by the ratio of their variances

@@ -85,7 +85,7 @@ def test_a_motion_beyond_the_largest_rate_is_dropped_only_if_a_slower_one_fits(c
     obs = observe(assess(vehicle, data)).obs.take(np.arange(4))
     model = Model(obs, Body.of(vehicle), Noise(1e-4), rate_sigma=0.5)
     omega = np.array([[0.0, 0.0, 0.2], [0.0, 0.0, 1.1]])[:, None] * np.ones((4, 1))
-    motions = Track.free(np.tile(np.eye(3), (2, 4, 1, 1)), omega)
+    motions = Track.unfitted(np.tile(np.eye(3), (2, 4, 1, 1)), omega)
     fitting = replace(motions, cost=np.array([1.0, 0.5]))
     assert len(drop_faster(model, fitting, RATES.search)) == 1
     assert len(drop_faster(model, replace(motions, cost=np.array([1e3, 0.5])), RATES.search)) == 2

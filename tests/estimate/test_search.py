@@ -91,7 +91,7 @@ def test_whole_turns_whose_axes_would_be_far_apart_make_a_search_coarse():
 def test_a_search_from_a_grid_begins_at_one_pair_if_a_magnetometer_determines_whole_turns():
     """An uncertain inertia asks for three if only the Sun is seen; three took all the budget of two spinners."""
     model, truth = watched(2.0)
-    long = Body(np.diag([0.3, 1.35, 1.35]), np.zeros((0, 3, 3)), wander=0.1)
+    long = Body(np.diag([0.3, 1.35, 1.35]), np.zeros((0, 3, 3)), angle_error=0.1)
     by_sun = replace(model, body=long)
     field = FieldChange(model.obs.t_s, truth.attitude[0] @ [2e4, 0.0, 2e4], 300.0)
     by_field = replace(by_sun, obs=replace(model.obs, terms=(*model.obs.terms, field)))

@@ -370,7 +370,7 @@ def bent_by_a_magnetometer(off, zero_sigma, matrix, matrix_sigma):
     attitude = Rotation.from_quat(run["B_from_N"].values).as_matrix()
     sun_N = attitude[0].T @ run["sun_B"].values[0]
     truth = run["omega_B"].values
-    start = Track.free((attitude @ facing(sun_N))[None], truth[None])
+    start = Track.unfitted((attitude @ facing(sun_N))[None], truth[None])
     return fit(model, replace(start, u=np.zeros((1, len(model.unknowns)))), 60), truth
 
 

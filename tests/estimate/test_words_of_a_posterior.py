@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from sunspin.estimate.lander.mixture import FirstStates
+from sunspin.estimate.lander.motions import Doubt
 from sunspin.estimate.lander.tree import _listed, _proposed_covariance
 from sunspin.estimate.lander.verdict import (
     PosteriorFindings,
@@ -29,9 +30,8 @@ GOOD = PosteriorFindings(
     effective=3000.0,
     doubts=[],
     dark="",
-    complete=True,
 )
-NONE_FITS = replace(GOOD, p_value=0.001, complete=False)
+NONE_FITS = replace(GOOD, p_value=0.001, doubts=[Doubt("doubt", left_out=True)])
 
 
 def aliases(*probability: float, apart: float = 0.1) -> PosteriorFindings:
@@ -61,8 +61,8 @@ def aliases(*probability: float, apart: float = 0.1) -> PosteriorFindings:
         (replace(GOOD, p_value=0.001), "not explained", "residuals as large as these"),
         (replace(GOOD, noise_sigmas=4.0), "not explained", "far more than assumed (+4.0 sigma)"),
         (replace(GOOD, noise_sigmas=-4.0), "not explained", "far less than assumed"),
-        (replace(NONE_FITS, doubts=["doubt"]), "not sure", "doubt; none of the solutions searched"),
-        (replace(GOOD, doubts=["a doubt"]), "not sure", "a doubt; result so far: unique"),
+        (NONE_FITS, "not sure", "doubt; none of the solutions searched"),
+        (replace(GOOD, doubts=[Doubt("a doubt")]), "not sure", "a doubt; result so far: unique"),
         (replace(GOOD, pareto_k=0.6), "not sure", "approximate"),
         (replace(GOOD, effective=600.0), "not sure", "effective sample size only 600"),
         (replace(GOOD, accused=["panel a: bad"]), "unique", "; panel a: bad"),

@@ -15,7 +15,7 @@ from sunspin.cli.rates import rates
 from sunspin.cli.sun import sun
 from sunspin.telemetry import assess as module
 from sunspin.telemetry.assess import Assessment, assess
-from sunspin.telemetry.sun import signals
+from sunspin.telemetry.signals import signals
 from tests.support.orbit_cases import with_few_copies
 from validation.spinners import cases, make
 

@@ -3,8 +3,8 @@
 Each is fitted from the motions of the nominal model, and has the same prior probability unless it says otherwise. Sigmas are never
 enlarged by hand: an alternative that explains the readings adds its own motion and errors to the sum. Samples between the kept ones
 are propagated to by the equations of the nominal model (:func:`sunspin.estimate.dense.propagate_to_all`). So an alternative may add
-torques and change sensors, but not the momentum of the wheels, which :func:`sunspin.estimate.wheels.decide_wheels` decides for the
-file.
+torques and change sensors, but not the momentum of the wheels. That belongs to the nominal model of the file:
+:func:`sunspin.estimate.wheels.decide_wheels` chooses it, and :mod:`sunspin.estimate.changed_wheel` changes it within a pass.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ def another_zero(nominal: Model, s: AlternativeSettings) -> Iterator[Model]:
     A file that states no sigma of a magnetometer's zero does not say that it is calibrated. So the odds are even, and it fits with
     the zero that is estimated. Without this model, readings with a zero of a tenth of the field decided a pass 8 sigma off.
     """
-    for index, term in enumerate(nominal.obs.terms):
+    for term in nominal.obs.terms:
         if not term.present().any():
             continue
         if isinstance(term, GyroRates) and term.zero_stated:
@@ -66,11 +66,9 @@ def another_zero(nominal: Model, s: AlternativeSettings) -> Iterator[Model]:
             log_odds = 0.0
         else:
             continue
-        terms = list(nominal.obs.terms)
-        terms[index] = term.with_any_zero()
         yield replace(
             nominal,
-            obs=replace(nominal.obs, terms=tuple(terms)),
+            obs=nominal.obs.replacing(term, term.with_any_zero()),
             what=f"another zero offset of the {term.label}",
             log_prior=nominal.log_prior + log_odds,
         )
@@ -106,9 +104,8 @@ def misaligned_panels(
         gains.append(float(gradient @ np.linalg.pinv(matrix, hermitian=True) @ gradient) / 2)
     if max(gains, default=0.0) > s.tilt_shows:
         name = panels.names[int(np.argmax(gains))]
-        terms = (replace(panels, tilt_sigma=TILT_SIGMA_RAD), *nominal.obs.terms[1:])
-        what = f"{MISALIGNED}, {name} most"
-        yield replace(nominal, obs=replace(nominal.obs, terms=terms), what=what)
+        obs = nominal.obs.replacing(panels, replace(panels, tilt_sigma=TILT_SIGMA_RAD))
+        yield replace(nominal, obs=obs, what=f"{MISALIGNED}, {name} most")
 
 
 def steps_of_the_rate(

@@ -1,9 +1,10 @@
 """Least-squares fits of motions to readings: attitude and rate at every sample are unknown (multiple shooting).
 
-Equation (smoother) of docs/model.md is minimised: differences from the readings at each sample, and how far neighbouring samples
-are from one motion (`Defects`). The normal equations are a chain of 6 x 6 blocks with a border for the unknowns that are constant
-in a pass, so a Gauss-Newton step takes a time linear in the number of samples. Each interval starts from its own state, so that
-errors of a poor start do not grow along the pass.
+The cost J of docs/rates.md ("What is minimised") has three parts: readings (:func:`readings`), equations of motion
+(:func:`defects`), and the prior of the unknowns and of the rate at the first sample. :func:`equations` adds them. The normal
+equations are a chain of 6 x 6 blocks with a border for the unknowns that are constant in a pass, so a Gauss-Newton step takes a
+time linear in the number of samples. Each interval starts from its own state, so that errors of a poor start do not grow along the
+pass.
 
 Attitudes are B_from_N, where z of N points to the Sun. A state changes by six numbers: a turn (rotation vector in body axes, rad)
 and a change of the rate (rad/s). In shapes and einsum strings k is a motion, n a sample or interval, i and j one of the six
@@ -189,7 +190,10 @@ def _transposed(matrices: np.ndarray) -> np.ndarray:
 
 
 def equations(model: Model, motions: Track) -> BorderedSystem:
-    """Return the cost of motions under a model, and its normal equations. Readings, equations of motion and priors contribute."""
+    """Return the cost J of motions under a model, and its normal equations.
+
+    The parts are added in this order: prior of the unknowns, readings, equations of motion, prior of the rate at the first sample.
+    """
     system = NormalEquations(motions)  # with the prior of the unknowns
     for residual, unknowns in readings(model, motions):
         system.add_readings(residual, unknowns)
@@ -283,16 +287,11 @@ def earlier_states(model: Model, obs: Observations, motions: Track) -> Earlier |
     The momentum of the wheels is taken as that at the sample. Return None if these sensors are read together with the Sun. `obs`:
     the samples at which the motions are given.
     """
-    clocks = [
-        (term, u_slice.start)
-        for term, u_slice in model.terms_with_slices
-        if isinstance(term, Latency) and (term.late_s or term.sigma_s)
-    ]
-    if not clocks:
+    clock = model.obs.of_kind(Latency)
+    if clock is None or not (clock.late_s or clock.sigma_s):
         return None
-    # a model has one latency; `start`: its index among the unknowns
-    clock, start = clocks[0]
-    index = start if clock.sigma_s else None
+    # of the latency among the unknowns
+    index = model.term_slices[model.obs.terms.index(clock)].start if clock.sigma_s else None
     error_s = 0.0 if index is None else clock.sigma_s * motions.u[:, index]
     late_s = clock.late_s + error_s + np.zeros(len(motions))
     momentum = obs.momentum
@@ -526,7 +525,7 @@ def variance_of(fitted: Fit, weights: np.ndarray) -> np.ndarray:
 def propagate(model: Model, sample: int, attitude: np.ndarray, omega: np.ndarray) -> Track:
     """Return, at all samples, the motions without unknowns that have these attitudes (K, 3, 3) and rates (K, 3) at one `sample`."""
     k, n = len(omega), len(model.obs)
-    motions = Track.free(np.empty((k, n, 3, 3)), np.empty((k, n, 3)))
+    motions = Track.unfitted(np.empty((k, n, 3, 3)), np.empty((k, n, 3)))
     motions.attitude[:, sample], motions.omega[:, sample] = attitude, omega
     _propagate_outward(model, motions, sample, sample)
     return motions
@@ -586,7 +585,7 @@ def fit_single_shooting(model: Model, sample: int, motions: Track, steps: int) -
         omega = state[1]
         k = len(omega)
         # motions at all samples, and their derivatives by turn and rate at the sample
-        track = Track.free(np.empty((k, n, 3, 3)), np.empty((k, n, 3)))
+        track = Track.unfitted(np.empty((k, n, 3, 3)), np.empty((k, n, 3)))
         by_state = np.empty((k, n, 6, 6))
         track.attitude[:, sample], track.omega[:, sample] = state
         by_state[:, sample] = np.eye(6)
@@ -626,7 +625,7 @@ def fit_single_shooting(model: Model, sample: int, motions: Track, steps: int) -
         (motions.attitude[:, sample], motions.omega[:, sample]),
         steps=steps,
     )
-    return replace(Track.free(*solution.system.extras), cost=solution.system.cost)
+    return replace(Track.unfitted(*solution.system.extras), cost=solution.system.cost)
 
 
 def costs(obs: Observations, motions: Track) -> np.ndarray:
@@ -668,7 +667,7 @@ class Chain:
         model = self.model.seeing(wider)
         first, last = window.start - wider.start, window.stop - wider.start
         n, k = wider.stop - wider.start, len(motions)
-        propagated = Track.free(np.empty((k, n, 3, 3)), np.empty((k, n, 3)))
+        propagated = Track.unfitted(np.empty((k, n, 3, 3)), np.empty((k, n, 3)))
         propagated.attitude[:, first:last] = motions.attitude
         propagated.omega[:, first:last] = motions.omega
         _propagate_outward(model, propagated, first, last - 1)

@@ -16,10 +16,9 @@ import numpy as np
 from sunspin.estimate.alternatives import changes_of_rate
 from sunspin.estimate.evidence import PassFits, best_fit, best_motions
 from sunspin.estimate.model import Model, Track
-from sunspin.estimate.observe import Pass
+from sunspin.estimate.observe import Pass, longest_passes
 from sunspin.estimate.one_pass import PassFitter
 from sunspin.estimate.terms.torques import Ramp, WheelChange
-from sunspin.estimate.wheels import log_evidence, longest_passes, model_of_kept
 from sunspin.vehicle import Vehicle
 
 SURELY = 20.0
@@ -104,12 +103,12 @@ def changed_wheel(
         results = []
         for way in [change, returns] if end_s < nominal.obs.t_s[-1] else [change]:
             model = way.assumed_in(nominal, vehicle, _price(fits[k], fitter))
-            of_passes = [model_of_kept(model, each) for each in passes]
+            of_passes = [each.model_of_kept(model) for each in passes]
             new_fits = [each for each in fitter.fits_if_any(of_passes, begin) if each is not None]
             if len(new_fits) == len(passes):
                 results.append(ChangedWheel(way, model, new_fits))
         if results:
-            return max(results, key=lambda result: sum(map(log_evidence, result.fits)))
+            return max(results, key=lambda result: sum(each.log_evidence for each in result.fits))
     return None
 
 
@@ -117,13 +116,13 @@ def change_in_pass(
     vehicle: Vehicle, nominal: Model, of_pass: Pass, fits: PassFits, fitter: PassFitter
 ) -> tuple[Change, PassFits] | None:
     """Return the change by which the evidence of one pass grows most, with its fits; None if it grows by none."""
-    evidence, found = log_evidence(fits), None
+    evidence, found = fits.log_evidence, None
     for first in sudden_changes(vehicle, fits, fitter.settings.ladder.strong):
         for change, with_change in refined(first, vehicle, nominal, of_pass, fits, fitter):
-            if log_evidence(with_change) > evidence:
-                evidence, found = log_evidence(with_change), (change, with_change)
+            if with_change.log_evidence > evidence:
+                evidence, found = with_change.log_evidence, (change, with_change)
         # others need not be tried if this one leaves no step
-        sure = found is not None and evidence > log_evidence(fits) + SURELY
+        sure = found is not None and evidence > fits.log_evidence + SURELY
         if sure and not best_fit(found[1].fits).model.noise.steps:
             break
     return found
@@ -162,15 +161,15 @@ def refined(
 
     The fits of the first begin by a search, those of the others from the motions before. `fits`: those without a change.
     """
-    begin, before = None, log_evidence(fits)
+    begin, before = None, fits.log_evidence
     for _ in range(MOST_ROUNDS):
         model = change.assumed_in(nominal, vehicle, _price(fits, fitter))
-        (with_change,) = fitter.fits_if_any([model_of_kept(model, of_pass)], [begin])
-        if with_change is None or log_evidence(with_change) < before + GROWS:
+        (with_change,) = fitter.fits_if_any([of_pass.model_of_kept(model)], [begin])
+        if with_change is None or with_change.log_evidence < before + GROWS:
             return
         yield change, with_change
         begin = best_motions(with_change.fits, BEGIN_FROM, fitter.settings.search)
-        before = log_evidence(with_change)
+        before = with_change.log_evidence
         change = change.fitted(with_change)
 
 

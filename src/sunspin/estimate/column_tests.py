@@ -36,7 +36,7 @@ from sunspin.estimate.observe import middle_sample
 from sunspin.estimate.settings import FIELD_TURN
 from sunspin.estimate.verdict import DECIDED, in_sigma, misfit
 from sunspin.telemetry.assess import Assessment, assess
-from sunspin.telemetry.sun import signals
+from sunspin.telemetry.signals import signals
 from sunspin.vehicle import Vehicle
 from sunspin.vehicle.response.planes import sphere
 from sunspin.vehicle.sensors import VARIABLES, Attitude
@@ -44,14 +44,14 @@ from sunspin.vehicle.sensors import VARIABLES, Attitude
 MOST_SQUARE = 30.0
 """Largest square, in sigmas, that counts of a reading of a second sensor, or of a sample of panels: some are spikes."""
 
-SENSORS = {"gyro_B": "gyro", "field_B": "magnetometer", "attitude_B_from_N": "quaternion"}
+SENSOR_NAMES = {"gyro_B": "gyro", "field_B": "magnetometer", "attitude_B_from_N": "quaternion"}
 """Variable of the telemetry -> what a person calls it."""
 
 DIRECTIONS, READING_ERROR = 3000, 0.06
 """Number of Sun directions in which a sample is compared with the panels, 3.5 degrees apart, and the error of a reading there, as a
 share of full Sun: half of that distance, and gains."""
 
-BRIGHTEST = 1.15
+MOST_BRIGHTNESS = 1.15
 """Brightness of a sample, in full Suns, that panels may show at most. There is no lower limit, since a full battery dims samples:
 with one of 0.85 four right passes of skCUBE seemed to have a reversed panel, and of simulated exchanges no more were seen."""
 
@@ -233,7 +233,7 @@ def what_fits_better(
     """
     first_cause: BetterChanges | ContradictingSensor | None = None
     fits_without_one = False
-    for name in SENSORS:
+    for name in SENSOR_NAMES:
         if name not in telemetry or not np.isfinite(telemetry[name].values).any():
             continue
         if estimators.budget.exhausted():
@@ -249,7 +249,7 @@ def what_fits_better(
         if first_cause is None:
             first_cause = _exchanged_by_sensor(observed, telemetry, name, without, estimators)
         if first_cause is None and _contradicts(observed.vehicle, telemetry, name, without):
-            first_cause = ContradictingSensor(SENSORS[name])
+            first_cause = ContradictingSensor(SENSOR_NAMES[name])
     # if the others are too coarse to contradict a sensor, their columns are not what keeps the pass from fitting
     if fits_without_one or not observed.panels:
         return first_cause
@@ -288,7 +288,7 @@ def denied_by_the_sun(
     off_others = np.abs(rates - omega[middle]) / np.sqrt(sigmas**2 + variance[middle])
     if off.max() < CONTRADICTING_SIGMAS or (off_others < CONTRADICTING_SIGMAS).all(axis=1).any():
         return None
-    return ContradictingSensor(SENSORS["field_B"])
+    return ContradictingSensor(SENSOR_NAMES["field_B"])
 
 
 # ------------------------------------------------------------------------------------------------------ columns of panels, wheels
@@ -524,7 +524,7 @@ def sample_costs(
 
     No motion is needed, so that many changes are compared in little time. The square of a sample is the least
     |read - brightness light|^2 over all Sun directions, in which panels get `light`, and over a brightness of at most
-    :data:`BRIGHTEST`. All are shares of full Sun, in units of the error: :data:`READING_ERROR` and the noise of the inputs. A
+    :data:`MOST_BRIGHTNESS`. All are shares of full Sun, in units of the error: :data:`READING_ERROR` and the noise of the inputs. A
     square counts up to :data:`MOST_SQUARE`.
     """
     sun, gains = sphere(DIRECTIONS), vehicle.input_gains
@@ -549,7 +549,7 @@ def sample_costs(
             at_best = read_square - best_brightness * np.maximum(along, 0.0)
             direction = np.argmin(at_best, axis=1)
             full = float(np.quantile(best_brightness[np.arange(len(read)), direction], 0.9))
-        brightness = np.minimum(best_brightness, BRIGHTEST * full)
+        brightness = np.minimum(best_brightness, MOST_BRIGHTNESS * full)
         square = read_square + brightness * (brightness * light_square - 2 * along)
         squares.append(square.min(axis=1) / error**2)
     by_sample = np.array(squares)  # (m, n)
@@ -616,7 +616,7 @@ def changes_of_sensor(vehicle: Vehicle, name: str) -> list[ColumnChange]:
         ]
     return [
         ColumnChange(
-            f"the {SENSORS[name]} {what}", axes={name: matrix}, do=advice_to_set(table, keys)
+            f"the {SENSOR_NAMES[name]} {what}", axes={name: matrix}, do=advice_to_set(table, keys)
         )
         for what, matrix, keys in ways
     ]

@@ -6,13 +6,19 @@ same readings (:mod:`.equivalence`). No data distinguish the two, and no pass is
 If a pass does not fit, other columns are tried on it (:mod:`.column_tests`). On a file of panels alone that fits they are tried in
 three cases: its samples, each by itself, fit other columns far better; or they fit other columns as well, and only the motion shows
 which are right; or the data fit better with a wheel that turns the other way.
+
+What a result then has:
+
+- attrs["columns_unseen"]: changes that no data of the file distinguish from it; a pass stays decided;
+- attrs["columns_rivals"]: changes that fit about as well, with another rate; `columns_checked` is "unchecked";
+- attrs["columns_doubt"]: the sentence why no pass is decided; attrs["columns_changes"]: the changes that it names, in JSON.
 """
 
 from __future__ import annotations
 
 import json
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
@@ -73,7 +79,7 @@ from sunspin.estimate.verdict import (
 )
 from sunspin.estimate.wheels import Reversed, momentum_of_each, name_of_wheels
 from sunspin.telemetry.assess import Assessment, assess
-from sunspin.telemetry.sun import signals
+from sunspin.telemetry.signals import signals
 from sunspin.vehicle import Vehicle
 from sunspin.vehicle.timeline import utc_after
 
@@ -96,7 +102,7 @@ EstimateAgain = Callable[[Vehicle, xr.Dataset], xr.Dataset]
 def check_columns(
     result: xr.Dataset,
     assessment: Assessment,
-    doubt: Reversed | None,
+    reversed_wheels: Reversed | None,
     again: EstimateAgain | None,
     settings: RatesSettings,
     budget: Budget,
@@ -105,8 +111,8 @@ def check_columns(
 
     Passes may lose `decided` and `unique`; `columns_checked` says of each whether the data confirm the columns. Attributes may be
     added: `alike`, `columns_unseen`, `columns_rivals`, `columns_doubt`, `columns_changes`, `column_tests_cut`, and
-    `symmetric_unlisted`. `doubt`: wheels that may turn the other way. `again`: function that estimates changed files, None if the
-    caller asked for no column tests. `budget`: of one pass.
+    `symmetric_unlisted`. `reversed_wheels`: wheels that may turn the other way. `again`: function that estimates changed files,
+    None if the caller asked for no column tests. `budget`: of one pass.
     """
     vehicle, telemetry = assessment.vehicle, assessment.telemetry
     observed = what_was_observed(vehicle, telemetry, result.attrs)
@@ -123,27 +129,64 @@ def check_columns(
 
     # Other columns are tried on a pass that does not fit, if the samples contradict the columns, or if a wheel is in doubt: a file
     # with exchanged columns may fit better with reversed wheels, and better still with the columns exchanged.
-    suspected = contradicted or (costs is not None and doubt is not None)
+    suspected = contradicted or (costs is not None and reversed_wheels is not None)
     others_tried = again is not None and (not fits or suspected)
     tests_budget = replace(budget, most=COLUMN_SHARE * budget.most)
+    doubt: ColumnDoubt | None = None
     if again is not None:
         estimators = estimators_of(result, again, settings, tests_budget)
         if others_tried:
-            result = _with_other_columns(result, observed, telemetry, estimators)
-        if costs is not None and "columns_doubt" not in result.attrs:
-            least_gain = 0.0 if doubt is None else doubt.gain
-            result = _with_rivals(result, observed, telemetry, costs, estimators, least_gain)
+            doubt = _other_columns(result, observed, telemetry, estimators)
+        if doubt is None and costs is not None:
+            least_gain = 0.0 if reversed_wheels is None else reversed_wheels.gain
+            result, doubt = _with_rivals(result, observed, telemetry, costs, estimators, least_gain)
         # the magnetometer is the only sensor whose wrong axes may fit: its zero offset is mostly unknown
         field_unknown = "field_B" in observed.sensors and not observed.in_orbit
-        if field_unknown and "columns_doubt" not in result.attrs:
-            result = _with_field_compared(result, observed, telemetry, estimators)
-    if contradicted and "columns_doubt" not in result.attrs:
+        if doubt is None and field_unknown:
+            doubt = _field_compared(result, observed, telemetry, estimators)
+    if doubt is None and contradicted:
         advice = "" if again is not None else f": {TRY_COLUMNS}"
-        result = undecided(result, SAMPLES_CONTRADICT)
-        result = result.assign_attrs(columns_doubt=SAMPLES_CONTRADICT + advice)
+        doubt = ColumnDoubt(SAMPLES_CONTRADICT, SAMPLES_CONTRADICT + advice)
+    if doubt is not None:
+        result = doubt.written(result)
     if others_tried or tests_budget.cut:
         result = result.assign_attrs(column_tests_cut=int(tests_budget.cut))
-    return _with_doubted_wheels(result, doubt, observed, telemetry, others_tried)
+    if reversed_wheels is None:
+        return result
+    reason = "the sign of a wheel"
+    if doubt is not None:  # its words stay
+        return undecided(result, reason)
+    cause = _better_with_reversed(reversed_wheels, observed, telemetry, others_tried)
+    return ColumnDoubt(reason, cause).written(result)
+
+
+@dataclass(frozen=True)
+class ColumnDoubt:
+    """Why no pass of a file is decided: the `reason`, for the table of passes, and its `cause`.
+
+    The cause is changes that fit better than the file, or a sentence for the verdict. `checked`: `columns_checked` of all passes.
+    """
+
+    reason: str
+    cause: BetterChanges | str
+    checked: str = COLUMNS_DOUBTED
+
+    def written(self, result: xr.Dataset) -> xr.Dataset:
+        """Return the result with no pass decided, the sentence for the verdict, and in JSON the changes that it names."""
+        result = undecided(result, self.reason, self.checked)
+        if isinstance(self.cause, str):
+            return result.assign_attrs(columns_doubt=self.cause)
+        rows = [
+            {
+                "what": change.what,
+                "do": change.do,
+                "at_s": self.cause.at_s,
+                "omega_deg_s": None if omega is None else np.degrees(omega).round(6).tolist(),
+            }
+            for change, omega in self.cause.changes
+        ]
+        words = self.cause.words(partial(clock_time, result.attrs.get("epoch_utc")))
+        return result.assign_attrs(columns_doubt=words, columns_changes=json.dumps(rows))
 
 
 def what_was_observed(vehicle: Vehicle, telemetry: xr.Dataset, attrs: dict) -> Observed:
@@ -271,49 +314,38 @@ def has_unlisted_motion(
     return False
 
 
-def _with_other_columns(
+def _other_columns(
     result: xr.Dataset, observed: Observed, telemetry: xr.Dataset, estimators: Estimators
-) -> xr.Dataset:
-    """Return the result with the changes that make the longest unfitted pass fit, or with the sensor that contradicts the others.
+) -> ColumnDoubt | None:
+    """Return the changes that make the longest unfitted pass fit, or the sensor that contradicts the others; None if there is none.
 
-    Either leaves no pass decided. If all passes fit the longest is tried: its samples or a wheel raise doubts of the columns.
+    If all passes fit the longest is tried: its samples or a wheel raise doubts of the columns.
     """
     unfitted = np.flatnonzero(~result["fits"].values)
     of_pass = samples_of(result, telemetry, _longest(result, unfitted if len(unfitted) else None))
     observed_in_pass = what_was_observed(observed.vehicle, of_pass, result.attrs)
-    return _with_cause(result, what_fits_better(observed_in_pass, of_pass, estimators))
+    return _doubt_by(what_fits_better(observed_in_pass, of_pass, estimators))
 
 
-def _with_field_compared(
+def _field_compared(
     result: xr.Dataset, observed: Observed, telemetry: xr.Dataset, estimators: Estimators
-) -> xr.Dataset:
-    """Return the result with no pass decided if the Sun alone shows another motion of the longest decided pass.
-
-    The result is returned as it is if no Sun was read.
-    """
-    if not (observed.panels or "sun_sensor_B" in observed.sensors):
-        return result
+) -> ColumnDoubt | None:
+    """Return the magnetometer if the Sun alone shows another motion of the longest decided pass; None if no Sun was read."""
     decided = np.flatnonzero(result["decided"].values)
-    if not len(decided):
-        return result
+    if not len(decided) or not (observed.panels or "sun_sensor_B" in observed.sensors):
+        return None
     k = _longest(result, decided)
     of_pass = samples_of(result, telemetry, k)
     motion = result[["omega_B", "omega_cov_B"]].isel(time=result["pass_of"].values == k)
-    return _with_cause(result, denied_by_the_sun(observed.vehicle, of_pass, motion, estimators))
+    return _doubt_by(denied_by_the_sun(observed.vehicle, of_pass, motion, estimators))
 
 
-def _with_cause(
-    result: xr.Dataset, better: BetterChanges | ContradictingSensor | None
-) -> xr.Dataset:
-    """Return the result with no pass decided, and the changes or the sensor that are the cause named; as it is if there is none."""
-    if better is None:
-        return result
-    if isinstance(better, BetterChanges):
-        return _with_named_changes(undecided(result, "columns, signs or axes"), better)
-    # the sensor acts in all passes: of a spinner whose magnetometer was read along other axes two of four passes fitted, far from
-    # the truth
-    doubted = undecided(result, f"the {better.sensor} contradicts the other readings")
-    return doubted.assign_attrs(columns_doubt=better.words())
+def _doubt_by(cause: BetterChanges | ContradictingSensor | None) -> ColumnDoubt | None:
+    """Return the doubt of all passes by what one pass shows; None if that has no cause."""
+    if isinstance(cause, ContradictingSensor):
+        # in all passes: of a spinner whose magnetometer was read along other axes two of four passes fitted, far from the truth
+        return ColumnDoubt(f"the {cause.sensor} contradicts the other readings", cause.words())
+    return None if cause is None else ColumnDoubt("columns, signs or axes", cause)
 
 
 def _with_rivals(
@@ -323,8 +355,8 @@ def _with_rivals(
     costs: SampleCosts,
     estimators: Estimators,
     least_gain: float,
-) -> xr.Dataset:
-    """Return the result after a test of rivals: other columns that fit the longest decided pass about as well as the file.
+) -> tuple[xr.Dataset, ColumnDoubt | None]:
+    """Return result and doubt after a test of rivals: other columns that fit the longest decided pass about as well as the file.
 
     Rivals have one of three consequences, the first that applies. In 2 and 3 only rivals with another rate count:
 
@@ -338,7 +370,7 @@ def _with_rivals(
     """
     decided = np.flatnonzero(result["decided"].values)
     if "noise" not in result.attrs or not len(decided):
-        return result
+        return result, None
     k = _longest(result, decided)
     of_pass = samples_of(result, telemetry, k)
     observed_in_pass = replace(
@@ -372,8 +404,7 @@ def _with_rivals(
         best = accusing[0]
         near_best = [rival for rival in accusing if rival.gain > best.gain - CLEARLY]
         changes = tuple(change for rival in near_best for change in rival.changes)
-        result = undecided(result, "columns, signs or axes")
-        return _with_named_changes(result, replace(best, changes=changes))
+        return result, ColumnDoubt("columns, signs or axes", replace(best, changes=changes))
 
     # 2. Rivals are as probable. Only those with another rate count: if the rates are the same, the result is right with either.
     omega, sigma = (
@@ -387,18 +418,18 @@ def _with_rivals(
         what = " or with ".join(names[:MOST_NAMED])
         words = f"the data fit as well with {what}: find out which columns are right"
         reason = f"other columns fit as well (with {what})"
-        return undecided(result, reason, COLUMNS_UNCHECKED).assign_attrs(columns_doubt=words)
+        return result, ColumnDoubt(reason, words, COLUMNS_UNCHECKED)
 
     # 3. The data do not exclude rivals.
     not_excluded = [rival for rival in others if rival.gain > -EXCLUDED]
     if not not_excluded:
-        return result
+        return result, None
     checked = np.full(result.sizes["pass_id"], COLUMNS_UNCHECKED)
     clock = partial(clock_time, result.attrs.get("epoch_utc"))
     lines = [rival_words(rival, clock) for rival in not_excluded]
-    return result.assign(columns_checked=("pass_id", checked)).assign_attrs(
-        columns_rivals=f"columns unchecked: the data fit about as well {'; '.join(lines)}"
-    )
+    words = f"columns unchecked: the data fit about as well {'; '.join(lines)}"
+    result = result.assign(columns_checked=("pass_id", checked))
+    return result.assign_attrs(columns_rivals=words), None
 
 
 def _gives_the_rate(rival: BetterChanges, omega: np.ndarray, sigma: np.ndarray) -> bool:
@@ -412,8 +443,8 @@ def estimators_of(
 ) -> Estimators:
     """Return the functions that estimate changed files as the file of a `result` was estimated: same wheels, same largest rate.
 
-    If a solution of the result is faster than its largest rate, which then nobody stated, quick searches go as far as its own
-    search.
+    Quick searches choose which changes are estimated in full; they leave out the orbit, its calibration and torques. If a solution
+    of the result is faster than its largest rate, which then nobody stated, they go as far as its own search.
     """
     attrs = result.attrs
     source = None if attrs["source"] == "directions" else attrs["source"]
@@ -468,55 +499,30 @@ def cost_of_silent_panels(assessment: Assessment, samples: np.ndarray) -> float:
     return float((np.log(sigma) + square / 2).sum())
 
 
-def _with_doubted_wheels(
-    result: xr.Dataset,
-    doubt: Reversed | None,
-    observed: Observed,
-    telemetry: xr.Dataset,
-    others_tried: bool,
-) -> xr.Dataset:
-    """Return the result with no pass decided if the sign of a wheel is in doubt.
+def _better_with_reversed(
+    wheels: Reversed, observed: Observed, telemetry: xr.Dataset, others_tried: bool
+) -> BetterChanges | str:
+    """Return reversed wheels with which the data fit better, and all changes that look the same.
 
-    The reversed wheel is named with all changes that look the same, unless other changes are named already. If the data do not fit
-    with it either, and all other changes were tried (`others_tried`), none is named.
+    If the data do not fit with them either, and all other changes were tried (`others_tried`), that is returned in words.
     """
-    if doubt is None:
-        return result
-    result = undecided(result, "the sign of a wheel")
-    if "columns_doubt" in result.attrs:
-        return result
-    change = wheel_change(observed.vehicle, doubt.wheels)
-    if not doubt.fits and others_tried:
-        return result.assign_attrs(
-            columns_doubt=f"with {change.what} the data fit better (log evidence better by {doubt.gain:.0f}), and still badly: no "
-            "single change of columns or signs explains them"
+    change = wheel_change(observed.vehicle, wheels.wheels)
+    if not wheels.fits and others_tried:
+        return (
+            f"with {change.what} the data fit better (log evidence better by {wheels.gain:.0f}), and still badly: no single change "
+            "of columns or signs explains them"
         )
     candidates = [*column_changes(observed.vehicle, telemetry), *wheel_changes(observed.vehicle)]
     candidates = [candidate for candidate in candidates if candidate.what != change.what]
-    same = equivalent_changes(replace(observed, sun_B=doubt.sun_B), change, candidates)
+    same = equivalent_changes(replace(observed, sun_B=wheels.sun_B), change, candidates)
     # the rate at the sample nearest to the middle of the pass
-    middle = middle_sample(doubt.t_s)
-    omega, at_s = doubt.omega[middle], float(doubt.t_s[middle])
+    middle = middle_sample(wheels.t_s)
+    omega, at_s = wheels.omega[middle], float(wheels.t_s[middle])
     changes = (
         ChangeWithRate(change, omega),
         *(ChangeWithRate(equivalent, rate_under(matrix, omega)) for equivalent, matrix in same),
     )
-    return _with_named_changes(result, BetterChanges(changes, doubt.gain, at_s, doubt.fits))
-
-
-def _with_named_changes(result: xr.Dataset, better: BetterChanges) -> xr.Dataset:
-    """Return the result with the changes that fit better than the file: a sentence, and in JSON attrs["columns_changes"]."""
-    rows = [
-        {
-            "what": change.what,
-            "do": change.do,
-            "at_s": better.at_s,
-            "omega_deg_s": None if omega is None else np.degrees(omega).round(6).tolist(),
-        }
-        for change, omega in better.changes
-    ]
-    clock = partial(clock_time, result.attrs.get("epoch_utc"))
-    return result.assign_attrs(columns_doubt=better.words(clock), columns_changes=json.dumps(rows))
+    return BetterChanges(changes, wheels.gain, at_s, wheels.fits)
 
 
 def undecided(result: xr.Dataset, reason: str, checked: str = COLUMNS_DOUBTED) -> xr.Dataset:

@@ -180,15 +180,15 @@ def _squares(
     """
     square = np.zeros(states.omega.shape[:2])
     for residual in term.residuals(states, u):
+        of_states = spread
         if residual.by_previous is not None:
-            of_turn = np.zeros_like(spread)
-            of_turn[:, 1:, TURN, TURN] = spread[:, 1:, RATE, RATE] * dt[:, None, None] ** 2
-            spread = of_turn
+            of_states = np.zeros_like(spread)
+            of_states[:, 1:, TURN, TURN] = spread[:, 1:, RATE, RATE] * dt[:, None, None] ** 2
         slope = np.zeros((*residual.value.shape, 6))
         for part, derivative in ((TURN, residual.by_turn), (RATE, residual.by_rate)):
             if derivative is not None:
                 slope[..., part] = derivative
-        covariance = np.eye(slope.shape[-2]) + slope @ spread @ np.swapaxes(slope, -1, -2)
+        covariance = np.eye(slope.shape[-2]) + slope @ of_states @ np.swapaxes(slope, -1, -2)
         whitened = np.linalg.solve(covariance, residual.value[..., None])[..., 0]
         square += np.einsum("knr,knr->kn", residual.value, whitened)
     return square

@@ -33,9 +33,9 @@ NORMALS_ALIKE = 0.01
 AXES_ALIKE = 0.05
 """Largest difference between elements of two matrices of axes that count as the same axes."""
 
-LIT_SHARE, LIT_SAMPLES, BRIGHTEST = 0.15, 2, 0.9
+LIT_SHARE, LIT_SAMPLES, FULL_SUN_QUANTILE = 0.15, 2, 0.9
 """A panel was lit if at least LIT_SAMPLES readings exceed LIT_SHARE of full Sun, which is more than albedo on an unlit panel often
-is. If gains have no unit, full Sun is the quantile BRIGHTEST of the largest reading of a sample."""
+is. If gains have no unit, full Sun is the quantile FULL_SUN_QUANTILE of the largest reading of a sample."""
 
 WHEEL_SIGMA, WEAK_RAD = 0.02, 0.05
 """Relative sigma of a wheel's momentum and direction; and the angle (rad) by which wheels must turn the rate of the body in the
@@ -65,7 +65,7 @@ class ColumnChange:
     `what`: in words. `columns`: input k reads the column `columns[k]`; if empty, the one that the file states. `reversed_panels`,
     `reversed_wheels`: numbers of panels and wheels with the opposite normal or axis. `axes`: variable of telemetry -> matrix by
     which its readings are multiplied, (3, 3), of a quaternion (4, 4). `do`: what to write in the file, in words; `errors`: number
-    of mistakes in the file.
+    of mistakes in the file. `what` and `do` are printed as they are.
     """
 
     what: str
@@ -105,7 +105,7 @@ class ColumnChange:
 
 
 AS_WRITTEN = ColumnChange("the file as it is written", errors=0)
-"""No change."""
+"""No change of columns, signs or axes. The model as in the file: `model.AS_STATED`."""
 
 
 def exchange(vehicle: Vehicle, a: int, b: int) -> ColumnChange:
@@ -188,7 +188,7 @@ class Observed:
             full_sun = 1.0
             # full Sun is 1 only if gains have the unit of the readings, W or A, which is the last letter of the variable's name
             if vehicle.gain_unit != name[-1] and len(share):
-                full_sun = max(float(np.quantile(share.max(axis=1), BRIGHTEST)), 1e-300)
+                full_sun = max(float(np.quantile(share.max(axis=1), FULL_SUN_QUANTILE)), 1e-300)
             lit = (share > LIT_SHARE * full_sun).sum(axis=0) >= LIT_SAMPLES
         names = ("gyro_B", "field_B", "attitude_B_from_N", "sun_sensor_B")
         were_read = frozenset(

@@ -52,6 +52,11 @@ class PassFits:
             total[rung] = np.logaddexp(total[rung], logsumexp(fitted.log_evidence))
         return total
 
+    @property
+    def log_evidence(self) -> float:
+        """Return the log evidence of the pass, summed over all strengths of torques, models and motions."""
+        return float(np.logaddexp.reduce(self.log_evidence_of_rungs() + self.log_rung))
+
 
 def ladder(
     model: Model,
@@ -325,7 +330,9 @@ def best_motions(fits: Sequence[Fit], count: int, search_settings: SearchSetting
     """
     nominal_fits = [fitted for fitted in fits if fitted.model.what == AS_STATED and len(fitted)]
     if not nominal_fits:
-        none = Track.free(np.zeros((0, 0, 3, 3)), np.zeros((0, 0, 3)))  # no motion, at no samples
+        none = Track.unfitted(
+            np.zeros((0, 0, 3, 3)), np.zeros((0, 0, 3))
+        )  # no motion, at no samples
         return fits[0].motions.take(slice(0)) if fits else none
     motions = Track.joined([fitted.to_begin_from for fitted in nominal_fits])
     log_evidence = np.concatenate([fitted.log_evidence for fitted in nominal_fits])

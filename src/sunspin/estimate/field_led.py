@@ -48,8 +48,7 @@ def models_to_search(nominal: Model, noise: Noise) -> list[Model]:
 
 def leading_field(nominal: Model) -> KnownField | None:
     """Return the known field whose directions a search uses in place of the Sun's; None if it uses the Sun's."""
-    known = [term for term in nominal.obs.terms if isinstance(term, KnownField)]
-    return known[0] if known and nominal.obs.sees_sun.sum() < FEWEST_SUNS else None
+    return nominal.obs.of_kind(KnownField) if nominal.obs.sees_sun.sum() < FEWEST_SUNS else None
 
 
 def sunlit_window(nominal: Model, s: SearchSettings) -> slice | None:
@@ -60,8 +59,7 @@ def sunlit_window(nominal: Model, s: SearchSettings) -> slice | None:
     in an eclipse of 35 min, and decided. So a search begins within this window.
     """
     sees_sun, t_s = nominal.obs.sees_sun, nominal.obs.t_s
-    known = any(isinstance(term, KnownField) for term in nominal.obs.terms)
-    if not known or leading_field(nominal) is not None:
+    if nominal.obs.of_kind(KnownField) is None or leading_field(nominal) is not None:
         return None
     sunlit = np.flatnonzero(sees_sun)
     # the times from one sunlit sample to the next, and from the ends of the pass
@@ -98,7 +96,7 @@ def to_nominal_axes(nominal: Model, searched: Model, motions: Track, s: SearchSe
         # number of angles; rotation (n, 3, 3) from N to axes that follow the field; model of the fits
         angle_count, from_N = FIELD_TURNS, field.field_axes()
         model = with_known_field(nominal, nominal.for_search(searched.noise)[0])
-    elif any(isinstance(term, GravityTorque) for term in nominal.obs.terms):
+    elif nominal.obs.of_kind(GravityTorque) is not None:
         angle_count, from_N, model = SUN_TURNS, np.eye(3), searched
     else:
         return motions
@@ -109,7 +107,7 @@ def to_nominal_axes(nominal: Model, searched: Model, motions: Track, s: SearchSe
         if field is not None:
             # from rates relative to the axes that follow the field to rates in space
             omega = omega + np.einsum("knij,nj->kni", attitude, field.axes_rate_N())
-        tracks.append(Track.free(attitude, omega))
+        tracks.append(Track.unfitted(attitude, omega))
     fitted = fit(model, Track.joined(tracks), FIT_STEPS).motions
     if field is None:  # the Sun fits every angle alike: the fit with all unknowns decides later
         return fitted
@@ -139,13 +137,10 @@ def with_coarse_field_fits(model: Model, motions: Track) -> Track:
     between them. With coarse errors there is no outlier. Without these fits the true motion of a spinner at 0.38 deg/s cost 187 in
     place of 31, and one that was a revolution in 10 s faster was decided. The motions are returned unchanged if no field is known.
     """
-    if not (any(isinstance(term, KnownField) for term in model.obs.terms) and len(motions)):
+    field = model.obs.of_kind(KnownField)
+    if field is None or not len(motions):
         return motions
-    drift_rad = np.full(len(model.obs), COARSE_RAD)
-    coarse_terms = tuple(
-        term.loosened(drift_rad, 0.0) if isinstance(term, KnownField) else term
-        for term in model.obs.terms
-    )
-    coarse = replace(model, obs=replace(model.obs, terms=coarse_terms))
+    loosened = field.loosened(np.full(len(model.obs), COARSE_RAD), 0.0)
+    coarse = replace(model, obs=model.obs.replacing(field, loosened))
     fitted = fit(coarse, motions.take(slice(COARSE_STARTS)), FIT_STEPS).motions
     return Track.joined([motions, Track(fitted.attitude, fitted.omega, fitted.u)])

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import product
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
@@ -26,11 +26,13 @@ from sunspin.vehicle import Vehicle
 if TYPE_CHECKING:
     from sunspin.estimate.terms.term import Term
 
+T = TypeVar("T", bound="Term")
+
 SUN_N = np.array([0.0, 0.0, 1.0])
 """The direction to the Sun in N, whose z axis follows it."""
 
 AS_STATED = "as stated"
-"""Name of the nominal model, which is exactly as the vehicle file gives it."""
+"""Name of the nominal model, which is exactly as the vehicle file gives it. Columns as in the file: `equivalence.AS_WRITTEN`."""
 
 THINNEST = 0.1
 """Least principal moment of a trial inertia, in mean moments; its second moments of mass may be negative by as much."""
@@ -70,14 +72,14 @@ class Body:
     """A rigid body.
 
     `inertia` (3, 3) in units of its mean moment; `errors` (e, 3, 3): one sigma of each independent error of it; `sphere`: no
-    inertia is known. `wander`: if a search holds the inertia fixed, one sigma of the angle by which the true motion deviates, as a
-    part of the angle that the body has turned.
+    inertia is known. `angle_error`: if a search holds the inertia fixed, one sigma of the angle by which the true motion deviates,
+    over the angle that the body has turned.
     """
 
     inertia: np.ndarray
     errors: np.ndarray
     sphere: bool = False
-    wander: float = 0.0
+    angle_error: float = 0.0
 
     @classmethod
     def of(cls, vehicle: Vehicle, torques_stated: bool = False) -> Body:
@@ -103,13 +105,13 @@ class Body:
         return cls(tensor / moments.mean(), _element_errors(sigma) / moments.mean())
 
     def for_search(self) -> Body:
-        """Return the body with a fixed inertia, whose largest error becomes `wander`.
+        """Return the body with a fixed inertia, whose largest error becomes `angle_error`.
 
         An error of a moment, in mean moments, changes the rate of the nutation by about this part of the rate of the body. A body
         without an inertia stays a sphere: other shapes are tried after the search (`starts.other_bodies`).
         """
-        wander = 0.0 if self.sphere else float(np.abs(self.errors).max(initial=0.0))
-        return replace(self, errors=self.errors[:0], wander=wander)
+        angle_error = 0.0 if self.sphere else float(np.abs(self.errors).max(initial=0.0))
+        return replace(self, errors=self.errors[:0], angle_error=angle_error)
 
     def inertia_at(self, u: np.ndarray) -> np.ndarray:
         """Return the inertia (K, 3, 3) for errors u (K, e) in sigmas; (3, 3) if the body has no errors."""
@@ -204,6 +206,14 @@ class Observations:
     def __len__(self) -> int:
         """Return the number of samples."""
         return len(self.t_s)
+
+    def of_kind(self, kind: type[T]) -> T | None:
+        """Return the term of a class, of which there is one at most; None if there is none."""
+        return next((term for term in self.terms if isinstance(term, kind)), None)
+
+    def replacing(self, old: Term, new: Term) -> Observations:
+        """Return the observations with the term `new` in the place of `old`."""
+        return replace(self, terms=tuple(new if term is old else term for term in self.terms))
 
     def take(self, samples: Any) -> Observations:
         """Return some of the samples, by indices or slice."""
@@ -305,7 +315,10 @@ class Model:
         return replace(self, noise=replace(self.noise, acceleration=acceleration))
 
     def plus(self, term: Term, what: str) -> Model:
-        """Return the model with one more term, with the same prior probability; `what` it adds, in words."""
+        """Return the model with one more term, with the same prior probability; `what` it adds, in words.
+
+        The term comes last: terms of all samples are paired with those of a model by their place (`dense.residuals_by_sensor`).
+        """
         return replace(self, obs=replace(self.obs, terms=(*self.obs.terms, term)), what=what)
 
     def for_search(self, noise: Noise) -> list[Model]:
@@ -352,7 +365,7 @@ class Track(States):
         return len(self.omega)
 
     @classmethod
-    def free(cls, attitude: np.ndarray, omega: np.ndarray) -> Track:
+    def unfitted(cls, attitude: np.ndarray, omega: np.ndarray) -> Track:
         """Return motions that were not fitted: without unknowns, cost and covariance."""
         return cls(attitude, omega, np.zeros((len(omega), 0)))
 

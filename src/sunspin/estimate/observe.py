@@ -14,7 +14,7 @@ from sunspin.base.errors import InputError
 from sunspin.dynamics.friction import spin_down_speed
 from sunspin.dynamics.torques import NOTHING, Acting
 from sunspin.environment import Environment, Surroundings
-from sunspin.estimate.model import Observations
+from sunspin.estimate.model import Model, Observations
 from sunspin.estimate.settings import PassSettings
 from sunspin.estimate.terms.directions import UNREAD, SunDirections
 from sunspin.estimate.terms.field import FieldChange, FieldDirection, KnownField, reads_directions
@@ -41,6 +41,9 @@ FIELD_ONLY = "used: the field alone; "
 NO_SUN = ("dropped: no panel lit", IDLE, EMPTY, UNREAD)
 """Statuses of samples that are dropped only because they show no Sun."""
 
+LONGEST_PASSES = 2
+"""Passes, those with the most samples, by whose evidence models and signs of the wheels are compared."""
+
 MEASURED = "measured"
 HELD = "held at the nominal speed"
 COASTING = "coasting from the nominal speed at the first sample"
@@ -64,7 +67,7 @@ class FileReadings:
     @property
     def dipole_modelled(self) -> bool:
         """Return whether the dipole that the vehicle file states acts, in a measured field."""
-        return any(isinstance(term, StatedDipole) for term in self.obs.terms)
+        return self.obs.of_kind(StatedDipole) is not None
 
     @property
     def usable(self) -> np.ndarray:
@@ -89,6 +92,10 @@ class Pass:
     def kept_in_pass(self) -> np.ndarray:
         """Return the indices of the kept samples among those of the pass."""
         return np.searchsorted(self.samples, self.kept)
+
+    def model_of_kept(self, nominal: Model) -> Model:
+        """Return the model of the samples that the search keeps; `nominal`: that of the whole file."""
+        return replace(nominal, obs=nominal.obs.of_pass(self.samples).take(self.kept_in_pass))
 
 
 def observe(
@@ -129,7 +136,7 @@ def observe(
         # samples that were dropped only because they show no Sun are used after all
         for k in np.flatnonzero(known_field.present() & np.isin(why, NO_SUN)):
             why[k] = FIELD_ONLY + why[k].removeprefix("dropped: ")
-    elif field_change is not None:
+    elif field_change is not None:  # along an orbit the calibration has the zero offset
         field_change = field_change.with_own_zero()
     if source != "panels":
         why[assessment.repeats.frozen] = STALE
@@ -247,17 +254,17 @@ def split_passes(readings: FileReadings, gap_s: float | None, s: PassSettings) -
     # indices into `usable` of the samples that a long gap follows: the last samples of passes
     ends = np.flatnonzero(np.diff(t_s) > gap)
     # readings of a field whose direction in space is unknown
-    magnetometers = [term for term in readings.obs.terms if isinstance(term, FieldChange)]
-    field_changes = [term for term in magnetometers if term.present().any()]
-    if field_changes and gap_s is None:
-        field_s = readings.obs.t_s[np.isfinite(field_changes[0].field_B).all(axis=1)]
+    magnetometer = readings.obs.of_kind(FieldChange)
+    changes = magnetometer is not None and magnetometer.present().any()
+    if changes and gap_s is None:
+        field_s = readings.obs.t_s[np.isfinite(magnetometer.field_B).all(axis=1)]
         is_bridged = [_field_bridges(field_s, t_s[k], t_s[k + 1], gap, s) for k in ends]
         ends = ends[~np.array(is_bridged, dtype=bool)]
     # A field of unknown direction is taken to rotate evenly, which holds for a short pass only. In a known field passes may be
     # long, unless the longest would have so many samples that the search keeps too few of them.
-    known_field = any(isinstance(term, KnownField) for term in readings.obs.terms)
-    too_many = known_field and s.longest_s > s.most_in_field * median_s
-    longest_s = s.longest_field_s if field_changes or too_many else s.longest_s
+    field_is_known = readings.obs.of_kind(KnownField) is not None
+    too_many = field_is_known and s.longest_s > s.most_in_field * median_s
+    longest_s = s.longest_field_s if changes or too_many else s.longest_s
     passes = []
     # `part`: indices into `usable` of the samples between two long gaps
     for part in np.split(np.arange(len(usable)), ends + 1):
@@ -275,6 +282,11 @@ def split_passes(readings: FileReadings, gap_s: float | None, s: PassSettings) -
             "no pass has three samples", got=f"gap between passes {gap:.4g} s", do="raise --gap"
         )
     return passes
+
+
+def longest_passes(passes: Sequence[Pass]) -> list[int]:
+    """Return the indices of the :data:`LONGEST_PASSES` passes with the most samples, the longest first."""
+    return sorted(range(len(passes)), key=lambda k: -len(passes[k].samples))[:LONGEST_PASSES]
 
 
 def select_passes(passes: Sequence[Pass], pass_id: int | None) -> list[Pass]:
@@ -370,8 +382,8 @@ def _in_growing_steps(indices: np.ndarray, most: int, growth: float) -> np.ndarr
 def _why_unused(readings: FileReadings) -> str:
     """Return in words why most samples of a file are not used, and what to do."""
     is_dropped = np.array([text.startswith("dropped") for text in readings.why], dtype=bool)
-    panels = [term for term in readings.obs.terms if isinstance(term, Panels)]
-    in_shadow = panels[0].sun_up == 0 if panels else np.zeros(len(readings.why), dtype=bool)
+    panels = readings.obs.of_kind(Panels)
+    in_shadow = np.zeros(len(readings.why), dtype=bool) if panels is None else panels.sun_up == 0
     only_shadow = (in_shadow & ~is_dropped).sum()
     if only_shadow > is_dropped.sum():
         return (

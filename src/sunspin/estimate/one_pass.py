@@ -131,7 +131,12 @@ def one_pass(
 
 
 def search_again(nominal: Model, fits: list[Fit], s: RatesSettings, budget: Budget) -> list[Fit]:
-    """Return the fits of a pass after the further searches that three doubts about the first one call for.
+    """Return the fits of a pass after the further searches that the first one may call for.
+
+    1. The most probable motion does not fit: under strong torques, as a wrong inertia looks like these.
+    2. It still does not, and only the Sun shows the inertia: with the errors of the inertia as unknowns.
+    3. It needs torques: under strong torques, and the motions are added.
+    4. It is fast, and nobody stated inertia or largest rate: up to a larger rate, and the motions are added.
 
     `nominal`: with the errors of times that were rounded. `fits`: those after the first search, of the nominal model.
     """
@@ -142,21 +147,21 @@ def search_again(nominal: Model, fits: list[Fit], s: RatesSettings, budget: Budg
         return fit_tracks(nominal, tracks, noise, s)
 
     limit, inertia_by_sun = nominal.obs.cost_limit, _inertia_by_sun(nominal)
-    # First doubt: an inertia that is wrong looks like torques. If the most probable motion does not fit, search as if strong ones
+    # 1. An inertia that is wrong looks like torques. If the most probable motion does not fit, search as if strong ones
     # acted, once at most. Other motions do not count, since under the strongest torques nearly everything fits.
     under_strong_torques = cache(partial(search_and_fit, nominal, s.ladder.strong))
     if len(nominal.body.errors) and best_cost(fits) > limit:
         fits = min(fits, under_strong_torques(), key=best_cost)
-    # A long body that turns over its middle axis leaves any motion of the stated inertia, one sigma off, within a few turns.
+    # 2. A long body that turns over its middle axis leaves any motion of the stated inertia, one sigma off, within a few turns.
     if inertia_by_sun and not nominal.body.sphere and best_cost(fits) > limit:
         free = search_and_fit(nominal, s.ladder.strong, inertia_held=False)
         fits = min(fits, free, key=best_cost)
-    # Second: torques stand for the nutation of a body that the search took for a sphere, and for errors of a known inertia; or they
+    # 3. Torques stand for the nutation of a body that the search took for a sphere, and for errors of a known inertia; or they
     # act, as the magnetic one, and one direction does not tell which motion they bend.
     strained = any(map(len, fits)) and best_fit(fits).model.noise.acceleration >= s.ladder.strained
     if strained and (inertia_by_sun or leading_field(nominal) is not None):
         fits = merge_fits(fits + under_strong_torques(), s.ladder, s.search)
-    # Third: without an inertia a motion beyond a largest rate that nobody stated may fit as well.
+    # 4. Without an inertia a motion beyond a largest rate that nobody stated may fit as well.
     may_be_faster = inertia_by_sun and nominal.body.sphere and s.alternatives.beyond > 1
     if may_be_faster and is_fast(fits):
         # a larger largest rate, for the search alone
@@ -205,8 +210,8 @@ def with_alternatives(
             break
         new = fits_of_alternative(model, fits, settings, budget)
         # several possible sigmas of the zero mark the model of a magnetometer without a stated one (`alternatives.another_zero`)
-        fields = [term for term in model.obs.terms if isinstance(term, FieldChange)]
-        if new and any(len(term.zero_shares) > 1 for term in fields):
+        field = model.obs.of_kind(FieldChange)
+        if new and field is not None and len(field.zero_shares) > 1:
             gain = best_fit(new).log_evidence[0] - best_nominal_fit(fits).log_evidence[0]
             if gain > settings.alternatives.doubted:
                 with suppress(InputError):  # the search may find no motion
@@ -285,7 +290,7 @@ def search_motions(
             if sunlit is not None:
                 # the angle about the Sun is known in the window, by the field, and so is the field in all other samples
                 begin = prepare_fit(nominal.seeing(sunlit), motions)
-                from_window = [(sunlit, Track.free(begin.attitude, begin.omega))]
+                from_window = [(sunlit, Track.unfitted(begin.attitude, begin.omega))]
                 whole = Chain(with_known_field(nominal, model), s)
                 motions = search(whole, from_window, replace(s, more_places=0), budget, places=1)
         except InputError as error:
@@ -346,7 +351,7 @@ def begin_again(fits: Sequence[Fit], s: RatesSettings) -> list[Fit]:
         return []
     best = best_fit(fits)
     motion = best.to_begin_from
-    begin = prepare_fit(best.model, Track.free(motion.attitude, motion.omega))
+    begin = prepare_fit(best.model, Track.unfitted(motion.attitude, motion.omega))
     if not begin.u.any():  # no term guesses anything but zero
         return []
     again = fit(best.model, begin, s.ladder.first_steps, s.ladder.tolerance).motions

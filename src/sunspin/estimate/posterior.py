@@ -1,6 +1,8 @@
 """Every motion of a lander that panel readings allow, with its probability, or the statement that none fits (docs/posterior.md).
 
 The steps are a search under the nominal model, fits of its motions under constant torques, draws of all models, and the verdict.
+Unlike in `rates` no random torques act between samples: the state at one instant, the reference, and the unknowns give the whole
+motion. So the readings also determine inertia and friction.
 """
 
 from __future__ import annotations
@@ -26,7 +28,7 @@ from sunspin.estimate.lander.carrier import Shooting
 from sunspin.estimate.lander.grid import choose_reference, grid_starts
 from sunspin.estimate.lander.mixture import Mixture
 from sunspin.estimate.lander.model import LanderModel
-from sunspin.estimate.lander.motions import LanderMotions, ModelFit
+from sunspin.estimate.lander.motions import Doubt, LanderMotions, ModelFit
 from sunspin.estimate.lander.periods import draws_by_periods
 from sunspin.estimate.lander.priors import constant_torques, with_priors
 from sunspin.estimate.lander.sample import PredictiveCheck, resampled, sample
@@ -61,8 +63,6 @@ that is then advised leaves more than the second."""
 
 ADVISED_SIGMAS = (0.1, 0.03, 0.01, 3e-3, 1e-3)
 """Relative sigmas of the inertia that may be advised, the largest first."""
-
-NO_TORQUES = "solutions with a constant torque were not searched, as this would take longer than the search without"
 
 
 class NominalSearch(NamedTuple):
@@ -164,21 +164,20 @@ def posterior(
     tree.attrs.update(_about(nominal, telemetry, priors, wheel_mode), seed=int(seed))
 
     likeliest = mix.fits[int(np.argmax(mix.probability))]
-    doubts = [*likeliest.notes, *doubts]
+    doubts = [*likeliest.doubts, *doubts]
     speed = np.linalg.norm(mix.draws.motions.omega[picked], axis=1)
     if np.mean(speed > EDGE * searched_rad_s) > AT_EDGE:
-        doubts.append("the rates reach the limit of the search; raise max_rate_rad_s")
+        doubts.append(Doubt("the rates reach the limit of the search; raise max_rate_rad_s"))
     if wheels := ", ".join(wheels_of_unknown_speed(vehicle, telemetry)):
         cure = "give speed_rad_s or a speed_column, or remove a wheel that is at rest"
-        doubts.append(f"WHEEL SPEED UNKNOWN ({wheels}): assumed 0; {cure}")
+        doubts.append(Doubt(f"WHEEL SPEED UNKNOWN ({wheels}): assumed 0; {cure}"))
     if budget.cut:
-        doubts.append(
+        text = (
             f"the draws stopped at the computing budget of {settings.motions / 1e6:.3g} million motions, with an effective sample "
             f"size of {mix.draws.effective:.0f}"
         )
-    complete = likeliest.complete and not budget.cut and NO_TORQUES not in doubts
-    findings = _findings(tree, mix, nominal, check, outliers)
-    findings = replace(findings, doubts=findings.doubts + doubts, complete=complete)
+        doubts.append(Doubt(text, left_out=True))
+    findings = _findings(tree, mix, nominal, check, outliers, doubts)
     tree.attrs.update(_verdict_attributes(tree, mix, findings, nominal, outliers))
 
     confirmed = bool(observations) or columns_seen(vehicle, telemetry)
@@ -235,8 +234,8 @@ def draw_all_models(
     streams: Sequence[np.random.Generator],
     budget: Budget,
     say: Callable[[str], None],
-) -> tuple[list[str], Mixture]:
-    """Return doubts in words, and the draws of the nominal model and of those with a constant torque.
+) -> tuple[list[Doubt], Mixture]:
+    """Return doubts, and the draws of the nominal model and of those with a constant torque.
 
     `streams` (6): random numbers for each of three models, and for each once more if a search under torques follows. `say` gets
     lines for the user.
@@ -252,14 +251,15 @@ def draw_all_models(
         fits = [nominal.fit, *pool.map(lambda torque: fit_under(torque, nominal), torques)]
     fits, doubts = draw_models(fits, nominal, streams[:3], budget)
     mix = Mixture.of(fits, settings.sampling, carrier.workers)
-    may_search_again = bool(torques) and carrier.complete
-    if not may_search_again or nominal_explains(mix, settings):
+    left_out = any(doubt.left_out for doubt in nominal.fit.doubts)
+    if not torques or left_out or nominal_explains(mix, settings):
         return doubts, mix
 
     # If no motion of the nominal model fits, a torque may be the cause: search under each torque from the first samples on. That is
     # not done if the first search had to leave motions out, as one of these may fit without a torque, or took too long.
     if carrier.work > settings.long_search or budget.exhausted():
-        return [*doubts, NO_TORQUES], mix
+        text = "solutions with a constant torque were not searched, as this would take longer than the search without"
+        return [*doubts, Doubt(text, left_out=True)], mix
     say("no motion explains the readings: searching under constant torques")
     searched = [fit_under(torque, nominal, search_under(torque)) for torque in torques]
     fits, doubts = draw_models([fits[0], *searched], nominal, streams[3:6], budget)
@@ -284,8 +284,7 @@ def fit_under(
         return carrier.fit_all_samples(LanderMotions.joined([motions, searched]))
     fit = carrier.fit_all_samples(motions)
     # without a search under this model, motions that the nominal search left out are missing here too
-    notes = tuple(dict.fromkeys((*nominal.fit.notes, *fit.notes)))
-    return replace(fit, complete=fit.complete and nominal.fit.complete, notes=notes)
+    return replace(fit, doubts=tuple(dict.fromkeys((*nominal.fit.doubts, *fit.doubts))))
 
 
 def draw_models(
@@ -293,8 +292,8 @@ def draw_models(
     nominal: NominalSearch,
     streams: Sequence[np.random.Generator],
     budget: Budget,
-) -> tuple[list[ModelFit], list[str]]:
-    """Return the fits of the nominal model, the first, and of other models with enough evidence, with draws; and doubts in words.
+) -> tuple[list[ModelFit], list[Doubt]]:
+    """Return the fits of the nominal model, the first, and of other models with enough evidence, with draws; and doubts.
 
     Each model is drawn with its own stream of random numbers, unless it has draws. The likeliest model gets all draws, the others
     fewer. Raises `InputError` if nothing can be drawn under the nominal model.
@@ -341,7 +340,7 @@ def draw_models(
             raise _nothing_drawn(fit.model)
         elif evidence[h] > logsumexp(evidence) + np.log(COUNTS):
             drawn = "but no motion that it allows could be drawn"
-            doubts.append(f"{fit.model.what} may explain the readings too, {drawn}")
+            doubts.append(Doubt(f"{fit.model.what} may explain the readings too, {drawn}"))
     return possible, doubts
 
 
@@ -425,16 +424,17 @@ def _findings(
     nominal: NominalSearch,
     check: PredictiveCheck,
     outliers: np.ndarray,
+    doubts: Sequence[Doubt],
 ) -> PosteriorFindings:
     """Return the quantities that decide the verdict; `outliers` (n, p): probability of each reading to be an outlier.
 
-    Only the doubt about starts is among them, and `complete` is true: :func:`posterior` adds other doubts and sets `complete`.
+    The doubt about starts is put before the other `doubts`.
     """
     solutions, panels = group(tree, "solutions"), nominal.fit.model.panels
     probability = solutions["probability"].values
-    doubts = []
     if np.any(solutions["starts"].values[probability >= COUNTS] == 1):
-        doubts.append("a solution was reached from one start only, so others may be missing")
+        text = "a solution was reached from one start only, so others may be missing"
+        doubts = [Doubt(text), *doubts]
     read = panels.present()  # (n) samples with a reading
     bright = panels.used & (panels.power > np.maximum(panels.threshold, SURELY_LIT * panels.sigma))
     # samples without a lit panel may be in the shadow of a planet, for which no panel is to blame
@@ -453,9 +453,8 @@ def _findings(
         accused=accused_panels(names, outliers[sunlit], panels.lit[sunlit]),
         pareto_k=mix.draws.pareto_k,
         effective=mix.draws.effective,
-        doubts=doubts,
+        doubts=list(doubts),
         dark=dark_stretch(t_s[read], sunlit[read]),
-        complete=True,
         alike=alike_motions(nominal.assessment.vehicle),
     )
 
@@ -488,5 +487,6 @@ def _verdict_attributes(
         "log_evidence": mix.draws.log_evidence,
         "remarks": "; ".join(nominal.window.remarks),
         "spoilt_readings": float(outliers.sum()),
+        # probabilities of the models
         "hypotheses": json.dumps({what: round(share, 4) for what, share in probability.items()}),
     }

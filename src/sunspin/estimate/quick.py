@@ -44,13 +44,13 @@ def quick_evidence(
             except InputError:  # this meaning allows no motion
                 continue
         else:
-            motions = Track.free(known.attitude, known.omega)
+            motions = Track.unfitted(known.attitude, known.omega)
         for fitted in ladder(model, motions.take(slice(MOTIONS)), ladder_settings, s, s.noise):
             rung = RUNGS.index(fitted.model.noise.acceleration)
             log_evidence[rung] = np.logaddexp(log_evidence[rung], logsumexp(fitted.log_evidence))
     # densities of panel readings have a factor 1 / sigma, which costs leave out; it must count, as sigmas depend on the vehicle
-    panels = (term for term in nominal.obs.terms if isinstance(term, Panels))
-    return float(log_evidence.max()) - sum(map(sum_of_log_sigmas, panels))
+    panels = nominal.obs.of_kind(Panels)
+    return float(log_evidence.max()) - (0.0 if panels is None else sum_of_log_sigmas(panels))
 
 
 def sum_of_log_sigmas(panels: Panels) -> float:

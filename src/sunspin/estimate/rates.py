@@ -30,6 +30,7 @@ from sunspin.estimate.model import SUN_N, Body, Model, Noise
 from sunspin.estimate.observe import (
     MEASURED,
     Pass,
+    longest_passes,
     observe,
     select_passes,
     split_passes,
@@ -64,9 +65,6 @@ from sunspin.estimate.wheels import (
     Reversed,
     decide_wheels,
     doubted_signs,
-    log_evidence,
-    longest_passes,
-    model_of_kept,
     search_reversed,
 )
 from sunspin.telemetry.assess import Assessment, assess
@@ -295,7 +293,7 @@ def fit_passes(
     nominal = nominal.with_momentum(wheels.momentum)
     # the longest passes have their fits already if there were several models of the wheels
     unfitted = [k for k in range(len(passes)) if k not in wheels.fits]
-    new_fits = fitter.fits([model_of_kept(nominal, passes[k]) for k in unfitted])
+    new_fits = fitter.fits([passes[k].model_of_kept(nominal) for k in unfitted])
     if show_bar:
         new_fits = PassBar(new_fits, "rates", len(unfitted), leave=False, unit="pass")
     fits_by_pass = wheels.fits | dict(zip(unfitted, new_fits, strict=True))
@@ -313,7 +311,7 @@ def fit_passes(
     changed = changed_wheel(vehicle, nominal, passes, fits, fitter)
     if changed is None:
         return as_stated
-    gain = sum(log_evidence(changed.fits[k]) - log_evidence(fits[k]) for k in compared)
+    gain = sum(changed.fits[k].log_evidence - fits[k].log_evidence for k in compared)
     if doubt is not None and doubt.gain > gain - CLEARLY:
         return as_stated
     # a reversed wheel may change its speed too
@@ -421,12 +419,12 @@ def require_directions(nominal: Model, passes: Sequence[Pass]) -> None:
 
     Such rows arise if each panel has packets of its own. If another sensor is read, directions may be missing.
     """
-    panels = [term for term in nominal.obs.terms if isinstance(term, Panels)]
-    if not panels or not nominal.obs.only_sun:
+    panels = nominal.obs.of_kind(Panels)
+    if panels is None or not nominal.obs.only_sun:
         return
     # the most panels that are read in a row, and those that are used at all
-    read = int(np.isfinite(panels[0].sigma).sum(axis=1).max())
-    count = panels[0].sigma.shape[1] - len(panels[0].left_out)
+    read = int(np.isfinite(panels.sigma).sum(axis=1).max())
+    count = panels.sigma.shape[1] - len(panels.left_out)
     if read >= count:
         return
     for a_pass in passes:
@@ -474,10 +472,10 @@ def log_evidence_of_passes(
     for pass_fits, a_pass in zip(fitted.fits, passes, strict=True):
         # The costs of fits leave out the sigmas of the panels' readings, and all readings of panels without any signal. Both depend
         # on the order of the columns.
-        panels = [term for term in pass_fits.nominal.obs.terms if isinstance(term, Panels)]
-        silent = cost_of_silent_panels(assessment, a_pass.kept) if panels else 0.0
+        panels = pass_fits.nominal.obs.of_kind(Panels)
+        silent = 0.0 if panels is None else cost_of_silent_panels(assessment, a_pass.kept)
         evidence = logsumexp(pass_fits.log_evidence_of_rungs()) - np.log(len(pass_fits.rungs))
-        log_sigmas.append(float(sum(map(sum_of_log_sigmas, panels))))
+        log_sigmas.append(0.0 if panels is None else sum_of_log_sigmas(panels))
         log_evidence.append(float(evidence - log_sigmas[-1] - silent))
     return {"log_evidence": log_evidence, "log_sigmas": log_sigmas}
 

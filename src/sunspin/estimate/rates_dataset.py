@@ -79,12 +79,12 @@ def motion_dataset(
     passes: Sequence[Pass],
     solved: Sequence[Solutions],
     nominal: Model,
-    noise_stated: bool,
+    torques_stated: bool,
 ) -> xr.Dataset:
     """Return the result of `rates` without its verdict: the best motion of each pass at all samples used, and all solutions.
 
     `solved`: the solutions of each of the `passes`, the most probable first. `nominal`: the nominal model under the most probable
-    strength of torques of the whole file; `noise_stated`: whether the vehicle file or the user gives that strength.
+    strength of torques of the whole file; `torques_stated`: whether the vehicle file or the user gives that strength.
     """
     used = np.concatenate([a_pass.samples for a_pass in passes])  # indices of samples of the file
     best = [of_pass.track.take(slice(0, 1)) for of_pass in solved]
@@ -124,7 +124,7 @@ def motion_dataset(
             "pass_id": [a_pass.number for a_pass in passes],
             "quaternion": ["x", "y", "z", "w"],
         },
-        attrs=_attributes(assessment, readings, used, nominal, noise_stated),
+        attrs=_attributes(assessment, readings, used, nominal, torques_stated),
     )
     return result.assign(_curves(solved, nominal))
 
@@ -134,29 +134,28 @@ def _attributes(
     readings: FileReadings,
     used: np.ndarray,
     nominal: Model,
-    noise_stated: bool,
+    torques_stated: bool,
 ) -> dict[str, Any]:
     """Return the attributes on the sensors that were used and on what was assumed; `used`: indices of the samples in a pass."""
     vehicle, telemetry = assessment.vehicle, assessment.telemetry
-    panels = [term for term in readings.obs.terms if isinstance(term, Panels)]
+    panels = readings.obs.of_kind(Panels)
+    earth_share = 0.0 if panels is None else panels.earth_share
     attrs: dict[str, Any] = provenance("rates", telemetry, **vehicle.result_attributes) | {
         "source": readings.source,
         "acceleration_noise": nominal.noise.acceleration,
         "max_rate_rad_s": nominal.rate_max,
-        "acceleration_noise_from": "given" if noise_stated else "evidence of the data",
+        "acceleration_noise_from": "given" if torques_stated else "evidence of the data",
         "body": "nearly a sphere (no inertia)"
         if nominal.body.sphere
         else "rigid body with the vehicle's inertia and wheels",
-        "earth_light": max(
-            (term.earth_share for term in panels if term.earth_share > FAINT), default=0.0
-        ),
+        "earth_light": earth_share if earth_share > FAINT else 0.0,
         "frame_N": SUN_Z_LOCAL,
-        "panels_left_out": ", ".join(name for term in panels for name in term.left_out),
+        "panels_left_out": "" if panels is None else ", ".join(panels.left_out),
     }
-    sigmas = [term.sigma[np.isfinite(term.sigma)] for term in panels]
-    if sigmas and len(sigmas[0]):
+    if panels is not None and np.isfinite(panels.sigma).any():
         noise = vehicle.input_noise
-        attrs["noise"] = float(np.median(sigmas[0] if noise is None else noise))
+        sigma = panels.sigma[np.isfinite(panels.sigma)]
+        attrs["noise"] = float(np.median(sigma if noise is None else noise))
         attrs["noise_from"] = OF_SCATTER if noise is None else "given"
         # empty for relative readings
         attrs["noise_unit"] = reading_unit(vehicle, signals(telemetry))
@@ -243,7 +242,7 @@ def with_space_axes(
     With an orbit it has the sigma of the rotation about the Sun direction, and attitudes from J2000 if a magnetometer was used.
     With a magnetometer alone it has field directions instead of Sun directions. `local`: the environment in axes along the Sun.
     """
-    if any(isinstance(term, FieldDirection) for term in readings.obs.terms):
+    if readings.obs.of_kind(FieldDirection) is not None:
         about = {"units": "1", "long_name": "direction of the magnetic field, smoothed"}
         return result.assign(
             field_direction_B=result["sun_B"].assign_attrs(about),
@@ -265,7 +264,7 @@ def with_space_axes(
         orbit_drift_s_day=orbit.drift_s_day,
         orbit_shift_sigma_s=orbit.offset_sigma_s,
     )
-    if not any(isinstance(term, KnownField) for term in readings.obs.terms):
+    if readings.obs.of_kind(KnownField) is None:
         return result
     # The field shows the rotation about the Sun direction, so that attitudes are known in space: B_from_J2000 = B_from_N
     # N_from_J2000.
@@ -333,8 +332,8 @@ def verdict_variables(
         sigma = np.sqrt(np.einsum("kii->ki", covariance))
         # Directions of one kind alone, of the Sun or of the field, do not confirm the columns: a reversed axis fits with the
         # mirrored motion, whose speed is the same.
-        fields = {term.label for term in of_pass.obs.terms if isinstance(term, FieldDirection)}
-        unconfirmed = set(by_sensor) <= {*(fields or {SunDirections.label}), RateMagnitudes.label}
+        seen = SunDirections if of_pass.obs.of_kind(FieldDirection) is None else FieldDirection
+        unconfirmed = set(by_sensor) <= {seen.label, RateMagnitudes.label}
         columns_checked = COLUMNS_UNCHECKED if unconfirmed else COLUMNS_STATED
         of_solutions = of_pass.probability, omega, sigma, speed, checks, columns_checked
         rows.append(PassRow(len(t_s), t_s[0], t_s[-1], t_s[mid], *of_solutions))

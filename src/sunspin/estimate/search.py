@@ -74,7 +74,7 @@ def search(
             break
         if ends and budget.exhausted():  # not before there is a motion
             break
-    if not ends:
+    if not ends:  # a carrier that always keeps some motions, as that of a lander, does not get here
         raise InputError(
             "no rate up to the largest allowed takes the Sun from one sample to the next",
             do="raise --max-rate-deg-s, or check the times and the directions",

@@ -68,7 +68,8 @@ FAMILY_ANGLES = 200
 class PairStarts(NamedTuple):
     """Starts at the first of two neighbouring samples: directions to the Sun `sun_B` (K, 3) and rates `omega` (K, 3), rad/s.
 
-    `apart_rad`: how far the rotation between the two samples may be from that of the nearest start, as rotation vectors.
+    `apart_rad`: distance of neighbouring starts, as rotation vectors between the two samples. Whole revolutions about any axis are
+    twice as far apart.
     """
 
     sun_B: np.ndarray
@@ -131,7 +132,7 @@ def inertia_leads_away(model: Model, s: SearchSettings) -> bool:
     """Return whether errors of a fixed inertia may turn the fastest body out of its basin between the first pair of samples."""
     first = _ordered_pairs(model)[0]
     interval_s = float(model.obs.t_s[first + 1] - model.obs.t_s[first])
-    return model.body.wander * model.rate_max * interval_s > s.basin_rad / 2
+    return model.body.angle_error * model.rate_max * interval_s > s.basin_rad / 2
 
 
 def _ordered_pairs(model: Model) -> np.ndarray:
@@ -218,7 +219,7 @@ def allowed_directions(model: Model, sample: int) -> np.ndarray:
         if len(measured := term.starts(sample).directions):
             return measured
     grid = sphere(SKY_DIRECTIONS)
-    still = Track.free(facing(grid)[:, None], np.zeros((SKY_DIRECTIONS, 1, 3)))
+    still = Track.unfitted(facing(grid)[:, None], np.zeros((SKY_DIRECTIONS, 1, 3)))
     cost = costs(model.obs.take(slice(sample, sample + 1)), still)[:, 0]
     allowed = grid[cost < cost.min() + ALLOWED_COST]
     spanning = grid[[np.argmin(cost)]]
@@ -468,7 +469,7 @@ def _loosen_terms(model: Model, sample: int, apart_rad: float) -> Model:
     obs, q = model.obs, model.noise.acceleration
     away = np.abs(obs.t_s - obs.t_s[sample])  # s
     off_rad_s = START_ERROR * apart_rad / (obs.t_s[sample + 1] - obs.t_s[sample])
-    off_rad_s = np.hypot(off_rad_s, model.body.wander * model.rate_max)
+    off_rad_s = np.hypot(off_rad_s, model.body.angle_error * model.rate_max)
     # torques of the strength q turn the body by q sqrt(T^3 / 3) in the time T, and change its rate by q sqrt(T)
     drift = np.hypot(q * np.sqrt(away**3 / 3), off_rad_s * away)
     drift_rad_s = float(np.hypot(off_rad_s, q * np.sqrt(away.max())))

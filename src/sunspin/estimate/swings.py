@@ -124,7 +124,7 @@ def log_mean_likelihood(obs: Observations, wander: np.ndarray) -> np.ndarray:
     Sun's direction given the readings so far, and the product of its means is the likelihood of all of them.
     """
     attitudes = np.repeat(facing(sphere(DIRECTIONS))[:, None], len(obs), axis=1)
-    cost = costs(obs, Track.free(attitudes, np.zeros((DIRECTIONS, len(obs), 3))))
+    cost = costs(obs, Track.unfitted(attitudes, np.zeros((DIRECTIONS, len(obs), 3))))
     least = cost.min(axis=0)  # taken out of the exponentials, against underflow
     values, l_times_l_plus_1 = harmonics()
     density, total = np.ones((DIRECTIONS, len(wander))), np.full(len(wander), -least.sum())

@@ -194,7 +194,9 @@ class Answers(NamedTuple):
     def decided(self) -> bool:
         """Return whether all four checks are met, so that an operator may act on the first solution.
 
-        Other functions withdraw it later if samples repeat, a symmetric solution is not listed, or columns are in doubt.
+        Other functions withdraw it later: if samples repeat (`with_doubted_repeats`), half of the passes do not fit
+        (`with_doubted_passes`), or a symmetric solution is not listed or columns, a sensor or a wheel are in doubt
+        (`check_columns`). The command withdraws it if field and Sun of an orbit disagree.
         """
         constrained = all(self.constrained) and self.speed.constrained
         return self.unique and self.fits and constrained and self.search_complete

@@ -19,16 +19,13 @@ from sunspin.estimate.carry import nutation, require_followed
 from sunspin.estimate.equivalence import CLEARLY, WEAK_RAD, wheel_changes
 from sunspin.estimate.evidence import PassFits, best_motions
 from sunspin.estimate.model import Model, Observations, Track
-from sunspin.estimate.observe import Pass, wheel_models, wheel_speeds
+from sunspin.estimate.observe import Pass, longest_passes, wheel_models, wheel_speeds
 from sunspin.estimate.one_pass import PassFitter, one_pass
 from sunspin.estimate.quick import MOTIONS, quick_evidence
 from sunspin.estimate.solutions import solutions
 from sunspin.estimate.verdict import misfit
 from sunspin.telemetry.assess import Assessment
 from sunspin.vehicle import Vehicle
-
-LONGEST_PASSES = 2
-"""Passes, those with the most samples, by whose evidence models and signs of the wheels are compared."""
 
 EVIDENCE = " (evidence "
 """What separates the name of a wheel model from its evidence, in words."""
@@ -92,7 +89,7 @@ def decide_wheels(
     # by name of the wheel model and index of a compared pass: the model of the pass
     compared = longest_passes(passes)
     models = {
-        (name, k): model_of_kept(nominal.with_momentum(momentum), passes[k])
+        (name, k): passes[k].model_of_kept(nominal.with_momentum(momentum))
         for name, momentum in momenta.items()
         for k in compared
     }
@@ -113,13 +110,13 @@ def decide_wheels(
         of_first = fits[first, k]
         if of_first is not None:
             best = best_motions(of_first.fits, s.most, s)
-            begin[k] = Track.free(best.attitude, best.omega) if len(best) else None
+            begin[k] = Track.unfitted(best.attitude, best.omega) if len(best) else None
     jobs = [(name, k) for name in alike for k in compared]
     fitted = fitter.fits_if_any([models[job] for job in jobs], [begin[k] for _, k in jobs])
     fits |= dict(zip(jobs, fitted, strict=True))
 
     evidence = {
-        job: -np.inf if pass_fits is None else log_evidence(pass_fits)
+        job: -np.inf if pass_fits is None else pass_fits.log_evidence
         for job, pass_fits in fits.items()
     }
     if not np.isfinite(list(evidence.values())).any():
@@ -130,16 +127,6 @@ def decide_wheels(
     words = f"{best}{EVIDENCE}{total[best] - total[second]:.1f} above any other)"
     done = {k: of_pass for k in compared if (of_pass := fits[best, k]) is not None}
     return DecidedWheels(best, words, momenta[best], done)
-
-
-def longest_passes(passes: Sequence[Pass]) -> list[int]:
-    """Return the indices of the :data:`LONGEST_PASSES` passes with the most samples, the longest first."""
-    return sorted(range(len(passes)), key=lambda k: -len(passes[k].samples))[:LONGEST_PASSES]
-
-
-def model_of_kept(nominal: Model, of_pass: Pass) -> Model:
-    """Return the model of the samples of a pass that the search keeps; `nominal`: that of the whole file."""
-    return replace(nominal, obs=nominal.obs.of_pass(of_pass.samples).take(of_pass.kept_in_pass))
 
 
 def name_of_wheels(words: str) -> str:
@@ -217,8 +204,7 @@ def search_reversed(
     momenta = reversed_momenta(vehicle, of_wheels, nominal.body.inertia, nominal.obs.t_s)
     momenta = {numbers: momentum + change for numbers, momentum in momenta.items()}
     models = [
-        model_of_kept(nominal.with_momentum(momentum), longest_pass)
-        for momentum in momenta.values()
+        longest_pass.model_of_kept(nominal.with_momentum(momentum)) for momentum in momenta.values()
     ]
     return momenta, fitter.quick_evidence(models)
 
@@ -256,7 +242,7 @@ def doubted_signs(
             (pass_fits,) = fitter.fits_if_any([model])
             if pass_fits is None:
                 break
-            gain += log_evidence(pass_fits) - log_evidence(fits_of_file)
+            gain += pass_fits.log_evidence - fits_of_file.log_evidence
             if gain < -LOSS:
                 break
             fits_reversed.append(pass_fits)
@@ -271,8 +257,3 @@ def doubted_signs(
         omega, sun_B = solved.track.omega[0], solved.track.sun_B[0]
         doubted.append(Reversed(numbers, gain, fits_well, solved.obs.t_s, omega, sun_B))
     return max(doubted, key=lambda reversed_wheels: reversed_wheels.gain, default=None)
-
-
-def log_evidence(fits: PassFits) -> float:
-    """Return the log evidence of a pass, summed over all strengths of torques, models and motions."""
-    return float(np.logaddexp.reduce(fits.log_evidence_of_rungs() + fits.log_rung))

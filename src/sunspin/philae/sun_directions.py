@@ -21,7 +21,8 @@ from sunspin.philae.rebound import event_seconds, with_telemetry
 from sunspin.philae.row import Row, interval_90, make_row
 from sunspin.telemetry.health import PanelHealth, find_explanations, panel_health
 from sunspin.telemetry.noise import HALF_NORMAL_MEDIAN
-from sunspin.telemetry.sun import SunStatus, is_reconstructed, signals, sun_directions
+from sunspin.telemetry.signals import signals
+from sunspin.telemetry.sun import SunStatus, is_reconstructed, sun_directions
 from sunspin.vehicle import Vehicle
 from sunspin.vehicle.response.panels import lit_patterns
 from sunspin.vehicle.timeline import utc_seconds

@@ -39,7 +39,8 @@ from sunspin.philae.rebound import (
     scan_limits,
 )
 from sunspin.philae.simulation import draw_misaligned_panels
-from sunspin.telemetry.sun import SunStatus, is_reconstructed, signals, sun_directions
+from sunspin.telemetry.signals import signals
+from sunspin.telemetry.sun import SunStatus, is_reconstructed, sun_directions
 from sunspin.vehicle.response.panels import brightness, misalignment_sigma
 
 CONFIDENCE = 0.9

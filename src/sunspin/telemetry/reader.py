@@ -127,6 +127,7 @@ def read_telemetry(path: Any, vehicle: Vehicle, *, columns: Sequence[str] = ()) 
     table = add_fractions(form, rewrite_dates(form, table))
     table, layout_notes = pivot_series(table, form.time_column, columns_of_readings(vehicle))
     header = set(table.header)
+    # read here too, as a file of sensors alone needs no column of a panel
     sensors = read_sensors(vehicle, table)
     panel_columns = _panel_columns(vehicle, table, optional=bool(sensors))
     for name in columns:

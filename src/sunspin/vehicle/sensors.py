@@ -396,5 +396,5 @@ class Sensors(Part):
 
     @property
     def with_columns(self) -> dict[str, Any]:
-        """Sensors that have the field `columns`, by their table in the vehicle file."""
+        """Return the sensors of :data:`VARIABLES` and the Sun vector, by their table in the vehicle file."""
         return {name: sensor for name, sensor in vars(self).items() if hasattr(sensor, "columns")}

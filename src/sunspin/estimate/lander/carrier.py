@@ -20,7 +20,7 @@ from sunspin.estimate.lander.families import (
 from sunspin.estimate.lander.fit import FINAL_ERROR, FitProblem, fit_finally, fit_window, in_pieces
 from sunspin.estimate.lander.grid import Reference, cell_count
 from sunspin.estimate.lander.model import ALL_SIZES, LanderModel, Sizes
-from sunspin.estimate.lander.motions import LanderMotions, ModelFit
+from sunspin.estimate.lander.motions import Doubt, LanderMotions, ModelFit
 from sunspin.estimate.lander.rate_grid import TRIAL_ERROR
 from sunspin.estimate.search import grown
 from sunspin.estimate.settings import PosteriorSettings
@@ -48,8 +48,8 @@ class Stage(NamedTuple):
 class Shooting:
     """Steps of a search for motions that are given by one state at the reference (:class:`sunspin.estimate.search.Carrier`).
 
-    Samples are at the times `t_s` (n) from the reference; a window is a slice of them. `notes`: remarks on the search for the
-    verdict; `complete`: no motion that may fit was left out; `work`: motions times samples fitted so far; `stages`: windows so far.
+    Samples are at the times `t_s` (n) from the reference; a window is a slice of them. `doubts`: on the search so far;
+    `work`: motions times samples that were fitted; `stages`: windows.
     """
 
     def __init__(
@@ -69,24 +69,22 @@ class Shooting:
         self.sizes: Sizes = {"inertia": 0}
         if torque_size is not None:
             self.sizes = {"inertia": 0, "steady_torque": torque_size}
-        self.settings, self.shooting = settings, settings.shooting
+        self.settings, self.s = settings, settings.shooting
         self.workers = worker_count(workers)
-        self.notes: list[str] = list(reference.notes)
-        self.complete = not reference.notes
+        self.doubts = reference.doubts
         self.work = 0
         self.stages: list[Stage] = []
         self._fitted_to_window = 0
 
     def under(self, model: LanderModel) -> Shooting:
         """Return a new search of the same readings under a model with a constant torque."""
-        size = self.shooting.searched_under
+        size = self.s.searched_under
         return Shooting(model, self.reference, self.settings, self.workers, size)
 
-    def _note(self, text: str, *, complete: bool) -> None:
-        """Add a remark for the verdict, unless it is there; if not `complete`, the search has left out motions that may fit."""
-        self.complete &= complete
-        if text not in self.notes:
-            self.notes.append(text)
+    def _doubt(self, text: str, *, left_out: bool) -> None:
+        """Add a doubt, unless it is there; `left_out`: the search has left out motions that may fit."""
+        if (doubt := Doubt(text, left_out)) not in self.doubts:
+            self.doubts.append(doubt)
 
     def fit(self, motions: LanderMotions, window: slice) -> LanderMotions:
         """Return motions fitted to the samples of a window, under one level after the other: a factor on the noise, with its steps.
@@ -95,17 +93,17 @@ class Shooting:
         wheel are free, the distinct motions are fitted twice, as a new sample moves a motion far along its ridge. A fit computes
         derivatives only once, where it begins, and they do not hold so far away. The second fit takes as long as the first.
         """
-        shooting = self.shooting
+        s = self.s
         problem, held = self._problem(window)
         # motions of the grid of starts were never fitted to a window: `neighbours_s` is still empty
-        levels = shooting.levels if len(motions.neighbours_s) else shooting.first_levels
+        levels = s.levels if len(motions.neighbours_s) else s.first_levels
         # Only motions that do not fit cost more than this. Noise wider by a factor adds the log of it to the cost of each number.
-        excess = np.log(levels[0][0]) + shooting.not_yet  # of each number
+        excess = np.log(levels[0][0]) + s.not_yet  # of each number
         hopeless = self.cost_limit(window) + _explained(problem.model) * excess
         fit = partial(fit_window, problem, levels=levels, hopeless=hopeless, held=held)
         fitted = self._fitted(problem, motions, fit)
-        if not held and window.stop - window.start > shooting.held:
-            again = partial(fit_window, problem, levels=shooting.again)
+        if not held and window.stop - window.start > s.held:
+            again = partial(fit_window, problem, levels=s.again)
             fitted = self._fitted(problem, self.kept(fitted, window), again)
         self._fitted_to_window = len(motions)
         return fitted
@@ -128,7 +126,7 @@ class Shooting:
         It does if the window has too few samples to determine them. Tilts of single panels are not fitted but count as noise: they
         would be as many unknowns as readings. The common tilt of all panels is fitted: as noise it would let many motions pass.
         """
-        held = window.stop - window.start < self.shooting.held
+        held = window.stop - window.start < self.s.held
         model = self.model.at_samples(window)
         terms = (model.panels.with_tilts_as_noise(), *model.given)
         model = replace(model, obs=replace(model.obs, terms=terms))
@@ -139,24 +137,24 @@ class Shooting:
 
     def kept(self, motions: LanderMotions, window: slice) -> LanderMotions:
         """Return fitted motions without copies and without those that the readings of the window rule out, best first."""
-        shooting = self.shooting
+        s = self.s
         # within the limit by noise, and not far less probable than the best; if there are none, a few of the best
         limit, best = self.cost_limit(window), float(np.min(motions.cost, initial=np.inf))
-        possible = motions.cost <= min(limit, best + shooting.drop + shooting.slack)
+        possible = motions.cost <= min(limit, best + s.drop + s.slack)
         size = f"({window.stop - window.start} samples)"
         if not possible.any():
-            order = np.argsort(motions.cost, kind="stable")[: shooting.kept_anyway]
+            order = np.argsort(motions.cost, kind="stable")[: s.kept_anyway]
             possible = np.zeros(len(motions), dtype=bool)
             possible[order[np.isfinite(motions.cost[order])]] = True
-            self._note(f"no motion is within the noise {size}", complete=True)
+            self._doubt(f"no motion is within the noise {size}", left_out=False)
         # copies are near in rate and direction up to the end of the next window or, with body and wheel free, on one ridge
         wider = grown(self.t_s, window, self.settings.search.growth)
         reach_s = float(np.abs(self.t_s[wider]).max())
-        motions = one_each_box(motions.take(possible), reach_s, shooting)
-        motions = self._at_most(motions, shooting.most_boxes, size)
-        if window.stop - window.start < shooting.held:
+        motions = one_each_box(motions.take(possible), reach_s, s)
+        motions = self._at_most(motions, s.most_boxes, size)
+        if window.stop - window.start < s.held:
             return motions
-        return self._at_most(one_each_ridge(motions, shooting), shooting.most, size)
+        return self._at_most(one_each_ridge(motions, s), s.most, size)
 
     def _at_most(self, motions: LanderMotions, most: int, where: str) -> LanderMotions:
         """Return at most `most` motions, evenly spaced in the order of cost, so that of solutions along a line the ends are kept.
@@ -165,7 +163,7 @@ class Shooting:
         """
         if len(motions) <= most:
             return motions
-        self._note(f"more trial solutions than the search can follow {where}", complete=False)
+        self._doubt(f"more trial solutions than the search can follow {where}", left_out=True)
         even = np.linspace(0, len(motions) - 1, most).round().astype(int)
         return motions.take(np.unique(even))
 
@@ -175,10 +173,10 @@ class Shooting:
         Those that the samples next to the window rule out are dropped: the comparison with a sample takes one run of a motion, a
         fit forty. If it rules all motions out, none is dropped, as a bad sample must not end the search.
         """
-        shooting, reach_s = self.shooting, float(np.abs(self.t_s[wider]).max())
-        is_grid = window.stop - window.start <= shooting.grid_samples
-        if not is_grid or len(motions) <= shooting.few_starts:
-            motions = with_neighbours(motions, reach_s, self.model.max_rate, shooting)
+        s, reach_s = self.s, float(np.abs(self.t_s[wider]).max())
+        is_grid = window.stop - window.start <= s.grid_samples
+        if not is_grid or len(motions) <= s.few_starts:
+            motions = with_neighbours(motions, reach_s, self.model.max_rate, s)
         else:
             # the many starts of the grid are dense enough without neighbours, for which alone curvatures are needed here
             motions = replace(motions, curvature=motions.curvature[:0])
@@ -190,8 +188,8 @@ class Shooting:
             motions = motions.take(allowed)
         # A window may take a third of the work that is left, in motions times samples, so that something is left for later windows.
         samples = wider.stop - wider.start
-        third = max(shooting.most_search - self.work, shooting.least_work) // 3
-        most = min(shooting.most_work, third) // samples
+        third = max(s.most_search - self.work, s.least_work) // 3
+        most = min(s.most_work, third) // samples
         self._announce(len(motions), most, samples)
         return self._at_most(motions, most, f"({samples} samples)")
 
@@ -202,7 +200,7 @@ class Shooting:
         if its sum of squared residuals is at most `limit` of the grid settings, as for the starts on the grid. At the first sample
         the rate may be :attr:`Reference.fastest` at most. A motion that cannot be computed is not allowed.
         """
-        grid, look_rad, motions = self.settings.grid, self.shooting.look_rad, motions.bare
+        grid, look_rad, motions = self.settings.grid, self.s.look_rad, motions.bare
         at_sample = self.model.at_samples(slice(sample, sample + 1))
         of_panels = replace(at_sample, obs=replace(at_sample.obs, terms=(at_sample.panels,)))
         allowed = np.zeros(len(motions), dtype=bool)
@@ -221,7 +219,7 @@ class Shooting:
 
         The count grows with the cube of the limit, as the volume of the ball of rates does.
         """
-        duration_s = FIT_S * min(count, most) * samples / self.shooting.held
+        duration_s = FIT_S * min(count, most) * samples / self.s.held
         takes = f"takes about {duration_s / 60:.1f} min"
         if count > most:
             smaller = self.reference.prior_max_rate * (most / count) ** (1 / 3)
@@ -229,7 +227,7 @@ class Shooting:
                 f"{count} motions may fit {samples} samples; {most} of them are followed, which {takes}, and the search will not "
                 f"be complete; with --prior max_rate_rad_s={smaller:.2g} about all of them would be followed"
             )
-        elif samples == self.shooting.held and duration_s > LONG_S:
+        elif samples == self.s.held and duration_s > LONG_S:
             _warn(
                 f"{count} motions may fit {samples} samples; following them {takes}, and in proportion to the cube of --prior "
                 "max_rate_rad_s less"
@@ -258,15 +256,15 @@ class Shooting:
         It is half a unit for each reading plus a margin: for noise larger than stated, for three sigmas of chance, and for
         outliers. These are independent, so that their squares add.
         """
-        shooting, model = self.shooting, self.model.at_samples(window)
+        s, model = self.s, self.model.at_samples(window)
         count = _explained(model)
         # a larger logarithm of the noise adds as much for each reading
         sigma = sum(model.unknowns[i].sigma for i in model.indices("noise"))
-        log_noise = min(shooting.noise_sigmas * sigma, shooting.noise_most)
+        log_noise = min(s.noise_sigmas * sigma, s.noise_most)
         # (3 sigmas)^2 of half a chi-square of `count` numbers are 9 count / 2
-        margin = float(np.sqrt((log_noise * count) ** 2 + 4.5 * count + shooting.slack**2))
-        held = window.stop - window.start < shooting.held
-        return 0.5 * count + margin + (shooting.slack_held if held else 0.0)
+        margin = float(np.sqrt((log_noise * count) ** 2 + 4.5 * count + s.slack**2))
+        held = window.stop - window.start < s.held
+        return 0.5 * count + margin + (s.slack_held if held else 0.0)
 
     def fit_all_samples(self, motions: LanderMotions) -> ModelFit:
         """Return motions and their symmetric solutions fitted to all samples with all unknowns free, without copies."""
@@ -292,14 +290,14 @@ class Shooting:
         begins: list[Sizes] = [{"inertia": 0}, {"inertia": 1}]
         if torque := self.model.indices("steady_torque"):
             count = len(self.model.unknowns[torque[0]].shares)
-            levels = [level for level in self.shooting.torque_levels if level < count]
+            levels = [level for level in self.s.torque_levels if level < count]
             begins = [{"inertia": 0, "steady_torque": level} for level in levels]
         elif not self.model.indices("inertia"):
             begins = [ALL_SIZES]
         parts = []
         for sizes in begins:
             problem = FitProblem(self.model, free, FINAL_ERROR, sizes)
-            fit = partial(fit_finally, problem, levels=self.shooting.last_levels)
+            fit = partial(fit_finally, problem, levels=self.s.last_levels)
             fitted = in_pieces(fit, motions, problem.rows_at_once, self.workers)
             if sizes:
                 fit = partial(fit_finally, replace(problem, sizes=ALL_SIZES), levels=((1.0, 4),))
@@ -307,15 +305,15 @@ class Shooting:
             parts.append(fitted)
         fitted = LanderMotions.joined(parts)
         evidence = log_evidence(self.model, fitted.cost, fitted.curvature)
-        distinct = distinct_fits(ModelFit(self.model, fitted, evidence), self.shooting)
-        most = self.shooting.most_fitted
+        distinct = distinct_fits(ModelFit(self.model, fitted, evidence), self.s)
+        most = self.s.most_fitted
         if len(distinct) > most:
-            self._note(f"more than {most} solutions", complete=True)
+            self._doubt(f"more than {most} solutions", left_out=False)
             distinct = distinct.take(slice(most))
         # each start was fitted once for each of `begins`
         motions = distinct.motions
         motions = replace(motions, starts=-(-motions.starts // len(begins)))
-        return replace(distinct, motions=motions, complete=self.complete, notes=tuple(self.notes))
+        return replace(distinct, motions=motions, doubts=tuple(self.doubts))
 
 
 def log_evidence(model: LanderModel, cost: np.ndarray, curvature: np.ndarray) -> np.ndarray:

@@ -32,7 +32,7 @@ from sunspin.estimate.lander.cells import (
     search_cells,
 )
 from sunspin.estimate.lander.model import LanderModel
-from sunspin.estimate.lander.motions import LanderMotions
+from sunspin.estimate.lander.motions import Doubt, LanderMotions
 from sunspin.estimate.lander.rate_grid import CORNERS, TRIAL_ERROR, RateGrid, Reached
 from sunspin.estimate.settings import GridSettings
 from sunspin.estimate.terms.powers import PanelPowers
@@ -74,11 +74,12 @@ class Reference:
     prior_max_rate: float
 
     @property
-    def notes(self) -> list[str]:
-        """Return a remark for the verdict if not all rates can be searched, else an empty list."""
+    def doubts(self) -> list[Doubt]:
+        """Return the doubt in a list that not all rates can be searched; an empty list if they can."""
         if self.limit >= self.max_rate * (1 - 1e-9):
             return []
-        return [f"only rates up to {np.degrees(self.limit):.3g} deg/s could be searched"]
+        text = f"only rates up to {np.degrees(self.limit):.3g} deg/s could be searched"
+        return [Doubt(text, left_out=True)]
 
     def about(self, model: LanderModel) -> LanderModel:
         """Return the model with this sample as its reference, from which its times count."""

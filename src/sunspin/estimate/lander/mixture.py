@@ -63,7 +63,7 @@ def join_models(
     # the weights of each model's draws, whose mean is its evidence, are divided by their number, so that their sum is
     log_weight = np.concatenate([drawn[m].log_weight - np.log(len(drawn[m])) for m in models])
     share = np.exp(log_weight - logsumexp(log_weight))
-    solution = _solutions_of_models(drawn, probability, models, reach_s, settings)
+    solution = _labels_over_models(drawn, probability, models, reach_s, settings)
     # number the solutions by falling probability, and give all motions as many unknowns as the largest model has
     rank = np.argsort(np.argsort(-np.bincount(solution, weights=share), kind="stable"))
     motions = [drawn[m].motions for m in models]
@@ -81,7 +81,7 @@ def join_models(
     )
 
 
-def _solutions_of_models(
+def _labels_over_models(
     drawn: Sequence[Draws],
     probability: np.ndarray,
     models: list[int],

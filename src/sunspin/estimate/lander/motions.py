@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, fields, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from scipy.special import logsumexp
@@ -99,19 +99,25 @@ class LanderMotions:
         return LanderMotions(self.omega, self.sun, u, starts=self.starts)
 
 
+class Doubt(NamedTuple):
+    """A remark that leaves a verdict unsure. `left_out`: motions that may fit were left out, so that "none fits" cannot be said."""
+
+    text: str
+    left_out: bool = False
+
+
 @dataclass(frozen=True)
 class ModelFit:
     """K motions of a lander fitted to all samples under a model, and the `draws` from its posterior once they are made.
 
     `log_evidence` (K), best first: log of the integral of likelihood times prior around each motion, by Laplace's method and up to
-    a constant of the readings. `complete`: the search left out no motion that may fit; `notes`: remarks for the verdict.
+    a constant of the readings. `doubts`: on the search.
     """
 
     model: LanderModel
     motions: LanderMotions
     log_evidence: np.ndarray
-    complete: bool = True
-    notes: tuple[str, ...] = ()
+    doubts: tuple[Doubt, ...] = ()
     draws: Draws | None = None
 
     def __len__(self) -> int:

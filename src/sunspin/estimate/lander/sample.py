@@ -115,7 +115,7 @@ def pooled(ridges: list[Ridge], connected: float) -> tuple[Draws, list[np.ndarra
         motions=motions,
         log_weight=log_weight,
         model_index=np.zeros(count, dtype=np.int64),
-        solution=_solutions(np.exp(log_share), np.exp(log_part), connected),
+        solution=_labels_by_ridges(np.exp(log_share), np.exp(log_part), connected),
         effective=effective_draws(np.exp(log_share)) if possible else 0.0,
         pareto_k=pareto_tail(log_weight) if possible else np.inf,
         log_evidence=total - float(np.log(count)) if possible else -np.inf,
@@ -125,7 +125,7 @@ def pooled(ridges: list[Ridge], connected: float) -> tuple[Draws, list[np.ndarra
     return draws, [log_share[a:b] for a, b in zip(ends[:-1], ends[1:], strict=True)]
 
 
-def _solutions(share: np.ndarray, part: np.ndarray, connected: float) -> np.ndarray:
+def _labels_by_ridges(share: np.ndarray, part: np.ndarray, connected: float) -> np.ndarray:
     """Return the index (n) of the solution of each draw, by falling probability: ridges that overlap are one solution.
 
     `share` (n): probabilities of the draws; `part` (n, r): part of each draw that belongs to each ridge. Ridges overlap if they

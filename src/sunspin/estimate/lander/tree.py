@@ -48,11 +48,11 @@ def tree_of(
     """
     likelihood = mix.log_likelihood(picked)
     numbers, rounds = np.array(stages, dtype=np.int64).reshape(-1, 3), mix.draws.rounds
-    search = ("samples", "hypotheses", "kept")
+    search = ("samples", "hypotheses", "kept")  # hypotheses: motions that were fitted
     sampling = ("log_evidence", "effective_share", "pareto_k")
     groups = {
         "posterior": _draws(mix, picked, likelihood),
-        "solutions": _solutions(mix, picked, likelihood, prior_sigma),
+        "solutions": _solution_rows(mix, picked, likelihood, prior_sigma),
         "search": xr.Dataset({name: ("stage", numbers[:, i]) for i, name in enumerate(search)}),
         "sampling": xr.Dataset({name: ("round", rounds[:, i]) for i, name in enumerate(sampling)}),
     }
@@ -113,7 +113,7 @@ OF_SOLUTIONS = {
 """Variables of the group `solutions`, at the first sample -> their units."""
 
 
-def _solutions(
+def _solution_rows(
     mix: Mixture, picked: np.ndarray, log_likelihood: np.ndarray, prior_sigma: float
 ) -> xr.Dataset:
     """Return the variables `OF_SOLUTIONS` of each listed solution, from its draws; the most probable solution comes first.

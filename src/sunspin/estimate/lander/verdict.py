@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import xarray as xr
 
+from sunspin.estimate.lander.motions import Doubt
 from sunspin.estimate.lander.tree import COUNTS, TOO_FEW, group
 from sunspin.estimate.verdict import NARROWER, SPEEDS, UPPER, Answers, PassRow, Speed, drawn_speeds
 
@@ -39,8 +40,8 @@ class PosteriorFindings:
     Of each solution (r), by falling probability: `probability`, `rate` (r, 3), `longest_sigma` of the rate over all directions, and
     the root mean square `speed`, rad/s. `interval_s`: median time between samples; `p_value`, `noise_sigmas`: of the predictive
     check; `accused`: sentences on panels with many outliers; `pareto_k`, `effective`: Pareto index and effective sample size of the
-    draws; `doubts`: on the search, in words; `dark`: when no panel was lit, in words, or empty; `complete`: the search has left out
-    no motion that may fit; `alike`: which solutions panels on shared inputs cannot distinguish, in words, or empty.
+    draws; `doubts`: on search and draws; `dark`: when no panel was lit, in words, or empty; `alike`: which solutions panels on
+    shared inputs cannot distinguish, in words, or empty.
     """
 
     probability: np.ndarray
@@ -53,9 +54,8 @@ class PosteriorFindings:
     accused: list[str]
     pareto_k: float
     effective: float
-    doubts: list[str]
+    doubts: list[Doubt]
     dark: str
-    complete: bool
     alike: str = ""
 
     @property
@@ -91,16 +91,16 @@ class PosteriorFindings:
 
 def posterior_words(findings: PosteriorFindings) -> tuple[str, str]:
     """Return the word of the verdict (unique, aliases, line, not explained, not sure) and its sentence."""
-    if findings.refused and not findings.complete:
-        doubts = "; ".join(findings.doubts)
-        text = f"not sure: {doubts}; none of the solutions searched fits"
+    doubts = [doubt.text for doubt in findings.doubts]
+    if findings.refused and any(doubt.left_out for doubt in findings.doubts):
+        text = f"not sure: {'; '.join(doubts)}; none of the solutions searched fits"
         return "not sure", text + _eclipse_text(findings)
     if findings.refused:
         return "not explained", _not_explained(findings)
     # symmetric solutions are fitted too: of a unique solution they do not fit, because inertia or wheels exclude them
     alike = [findings.alike] if findings.alike and not findings.unique else []
     text = "; ".join([_solutions_text(findings), *findings.accused, *alike])
-    if doubts := [*findings.doubts, *findings.approximate]:
+    if doubts := [*doubts, *findings.approximate]:
         text = f"not sure: {'; '.join(doubts)}; result so far: {text}"
         return "not sure", text + _eclipse_text(findings)
     word = "line" if findings.is_line else "unique" if findings.unique else "aliases"
@@ -138,7 +138,7 @@ def _not_explained(findings: PosteriorFindings) -> str:
     if abs(findings.noise_sigmas) > NOISE_LIMIT:
         side = "more" if findings.noise_sigmas > 0 else "less"
         text = f"not explained: no solution fits unless the noise is far {side} than assumed ({findings.noise_sigmas:+.1f} sigma)"
-    text = "; ".join([text, *findings.accused, *findings.doubts])
+    text = "; ".join([text, *findings.accused, *(doubt.text for doubt in findings.doubts)])
     if findings.dark:
         return text + _eclipse_text(findings)
     return f"{text}. Check the vehicle file, the time window, the wheels, and for shaded or failed panels"

@@ -10,7 +10,8 @@ import xarray as xr
 from sunspin.telemetry.assess import Assessment
 from sunspin.telemetry.quality import find_late_frames
 from sunspin.telemetry.repeats import GAP_FACTOR
-from sunspin.telemetry.sun import SunStatus, signals
+from sunspin.telemetry.signals import signals
+from sunspin.telemetry.sun import SunStatus
 from sunspin.vehicle.response.panels import opposite_panels
 
 WITH_BOTH = 0.5

@@ -17,7 +17,7 @@ from sunspin.estimate.orbit.invariants import SEEN_IN_SHADOW
 from sunspin.telemetry.assess import Assessment
 from sunspin.telemetry.quality import DROPPED, SPIKE_FACTOR, find_late_frames
 from sunspin.telemetry.repeats import PANELS
-from sunspin.telemetry.sun import signals
+from sunspin.telemetry.signals import signals
 from sunspin.telemetry.units import UNITS
 from sunspin.vehicle.response.panels import brightness
 

@@ -118,9 +118,9 @@ class EarthLight:
     ) -> tuple[np.ndarray, np.ndarray]:
         """Return the Earth's light on panels (K, n, p), in the unit of the readings, and its derivatives (K, n, p, 3 + b + p).
 
-        Equation (earthlight) of docs/model.md. `gain` (K, 1, p): factors on the gains; `attitude` (K, n, 3, 3); `u` (K, b + p): as
-        in :meth:`unknowns`. The derivatives are by a small rotation of the body (rad, B), then by all of u. Those by the zeros are
-        included, but the zeros themselves are not: they do not scale with the gain (:meth:`zero`).
+        Equation (earthlight) of docs/model.md. `gain` (K, 1, p) or (K, n, p): factors on the gains; `attitude` (K, n, 3, 3); `u`
+        (K, b + p): as in :meth:`unknowns`. The derivatives are by a small rotation of the body (rad, B), then by all of u. Those by
+        the zeros are included, but the zeros themselves are not: they do not scale with the gain (:meth:`zero`).
         """
         vector_N = np.einsum("km,nmj->knj", u[:, self.light_slice], self.light_N)
         vector_N = vector_N if self.known_N is None else vector_N + self.known_N

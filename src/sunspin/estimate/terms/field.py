@@ -78,7 +78,8 @@ class FieldChange(Term):
 
     Attributes
     ----------
-    field_B, sigma : fields in any unit, NaN where not read, and the noise of each component in that unit
+    field_B, sigma : fields in any unit, NaN where not read, and the noise of each component in that unit;
+        infinite if the file states none: then no reading counts
     turn_rate : rad/s, rotation of the field in space in any direction in addition, which counts as noise
     zero_B : (z, 3), one sigma of each unknown of the zero offset
     matrix_sigma : one sigma of each of nine elements of the error matrix M; e = zero offset + M field
@@ -104,7 +105,7 @@ class FieldChange(Term):
         """Return the magnetometer of telemetry; None if it has none."""
         if VARIABLES["magnetometer"] not in telemetry:
             return None
-        part = vehicle.sensors.with_columns.get("magnetometer")
+        part = vehicle.sensors.magnetometer
         values = np.asarray(telemetry[VARIABLES["magnetometer"]], dtype=np.float64)
         t_s = np.asarray(telemetry["time"], dtype=np.float64)
         noise = part.noise if part is not None else None

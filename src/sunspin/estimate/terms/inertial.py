@@ -52,7 +52,7 @@ class GyroRates(Term):
         if VARIABLES["gyro"] not in telemetry:
             return None
         rate = np.asarray(telemetry[VARIABLES["gyro"]], dtype=np.float64)
-        part = vehicle.sensors.with_columns.get("gyro")
+        part = vehicle.sensors.gyro
         if part is None:
             # the noise is unknown: with a sigma of 1 rad/s the rates hardly count
             return cls(rate, sigma=1.0, zero_sigma=np.zeros(3), scale_sigma=0.0)
@@ -229,7 +229,7 @@ class AttitudeChange(Term):
         was_read = np.isfinite(quaternion).all(axis=1)
         B_from_N = np.full((len(quaternion), 3, 3), np.nan)
         B_from_N[was_read] = matrix_from_quaternion(quaternion[was_read])
-        part = vehicle.sensors.with_columns.get("attitude")
+        part = vehicle.sensors.attitude
         t_s = np.asarray(telemetry["time"], dtype=np.float64)
         return cls(t_s, B_from_N, part.sigma_rad if part is not None else np.inf)
 

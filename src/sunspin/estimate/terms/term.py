@@ -6,9 +6,11 @@ Unknowns u are counted in sigmas of their priors.
 
 Which methods are called by which module:
 
-- `observe`: `take`, `of_pass`, `present`; the fit (`chain`): `unknowns`, `residuals`, or of torques `added_by_*`;
+- passes and samples (`observe`): `of_pass`, `take`, `present`, through `Observations`;
+- the fit (`chain`): `unknowns`, `residuals`, or of torques `added_by_*`;
 - the search (`starts`, `field_led`): `for_search`, `starts`, `loosened`, and then `first_guess` for the fit of its motions;
-- alternative models (`swings`): `with_fixed_unknowns`; residuals at all samples (`dense`): `freedom`, `with_errors_of`.
+- errors of rounded times (`one_pass`): `loosened`, `log_errors`;
+- an oscillation (`swings`): `with_fixed_unknowns`; residuals at all samples (`dense`): `freedom`, `with_errors_of`.
 """
 
 from __future__ import annotations

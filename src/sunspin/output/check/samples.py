@@ -13,7 +13,8 @@ from sunspin.output.text import count_text, size_text, with_sigma
 from sunspin.telemetry.assess import LOW_SHARE, Assessment
 from sunspin.telemetry.noise import ASSUMED_FROM, ASSUMED_SHARE
 from sunspin.telemetry.quality import SURELY_LIT, count_reasons
-from sunspin.telemetry.sun import LIT_SIGMAS, SunStatus, signals
+from sunspin.telemetry.signals import signals
+from sunspin.telemetry.sun import LIT_SIGMAS, SunStatus
 from sunspin.telemetry.units import reading_unit
 from sunspin.vehicle import Vehicle
 from sunspin.vehicle.file import find_line, read_vehicle_text

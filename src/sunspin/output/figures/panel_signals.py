@@ -18,7 +18,7 @@ from sunspin.output.figures import (
     styled,
 )
 from sunspin.output.figures.rates import clock_text
-from sunspin.telemetry.sun import signals
+from sunspin.telemetry.signals import signals
 from sunspin.vehicle import Vehicle
 from sunspin.vehicle.response.panels import panel_power
 
