@@ -10,6 +10,7 @@ from scipy.spatial.transform import Rotation
 
 import sunspin as ss
 from sunspin.estimate import columns
+from sunspin.estimate import rates as rates_module
 from sunspin.estimate.budget import Budget
 from sunspin.estimate.column_tests import (
     BetterChanges,
@@ -262,6 +263,21 @@ def test_exchanged_panels_and_the_equivalent_sensor_axes_are_both_named():
     rate = np.degrees([one.omega for one in told.changes])
     np.testing.assert_allclose(rate[1], rate[0] * [1, -1, -1], atol=1e-12)
     assert "exchanged" not in sought(seen(GYRO, lambda read: read[:, [1, 0, 2]])).words()
+
+
+@pytest.mark.long
+def test_changed_files_are_estimated_under_the_strength_of_torques_that_is_given(monkeypatch):
+    given, stated_noise = [], rates_module.stated_noise
+
+    def recorded(vehicle, strength, dipole_modelled):
+        given.append(strength)
+        return stated_noise(vehicle, strength, dipole_modelled)
+
+    monkeypatch.setattr(rates_module, "stated_noise", recorded)
+    simulated = make("columns exchanged", 0, 0)
+    telemetry = simulated.telemetry.isel(time=slice(0, 12))
+    rates(simulated.vehicle, telemetry, acceleration_noise=1e-4, effort=0.1)
+    assert len(given) > 1 and set(given) == {1e-4}
 
 
 @pytest.mark.long

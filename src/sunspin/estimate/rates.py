@@ -190,6 +190,7 @@ def rates(
         rates,
         source=None if readings.source == "directions" else readings.source,
         max_rate_rad_s=max_rate_rad_s,
+        acceleration_noise=acceleration_noise,
         gap_s=np.inf,
         column_tests=False,
         environment=environment,
