@@ -23,7 +23,13 @@ from sunspin.vehicle.sensors import Gyro, Sensors
 from tests.support import satellite_files
 from tests.support.orbit_cases import check_case, with_few_copies
 from tests.support.passes import errors_in_sigmas, stated_model
-from tests.support.simulate import CUBE_WITHOUT_NOISE_STATED, fast_body, telemetry_of
+from tests.support.simulate import (
+    CUBE_WITHOUT_NOISE_STATED,
+    fast_body,
+    simulated_pass,
+    telemetry_of,
+)
+from tests.support.vehicles import unit_vector
 from validation import spinners
 
 CUBE = replace(CUBE_WITHOUT_NOISE_STATED, inertia_kg_m2=np.diag([0.02, 0.025, 0.03]))
@@ -58,6 +64,16 @@ def test_with_the_effort_that_is_named_a_search_is_complete():
     assert done["search_complete"].values[0] and done["decided"].values[0]
     assert "effort" not in done.attrs["verdict"]
     assert printed(r"--effort ([\d.e+]+)", more_effort(20.0)) == 200.0
+
+
+def test_a_pass_of_five_panels_needs_no_more_effort_than_the_default():
+    """With a quarter of the computing budget all passes of a PocketQube without an inertia were left undecided."""
+    rng = np.random.default_rng(2)
+    truth = replace(CUBE, inertia_kg_m2=np.diag([0.0015, 0.0016, 0.0019]), panels=CUBE.panels[:5])
+    t = np.cumsum(rng.choice([10.0, 10.0, 20.0], size=32))
+    data, _ = simulated_pass(truth, np.radians(4.5) * unit_vector(rng), t, rng)
+    result = rates(replace(truth, inertia_kg_m2=None), data, column_tests=False)
+    assert result.attrs["effort"] > 0.25 and result["decided"].values[0]
 
 
 def test_with_the_largest_rate_that_is_named_a_coarse_search_is_fine():

@@ -342,6 +342,19 @@ def test_samples_by_themselves_show_some_exchanges():
         assert not SampleCosts.of(craft, changed).contradict_the_columns()
 
 
+def test_the_unit_of_relative_gains_does_not_change_the_costs_of_samples():
+    """In counts of 0 to 190 each sample cost as much as it may, and a right file was said to have two columns exchanged."""
+    craft = replace(CUBE, gain_unit=None, telemetry=TelemetryForm())
+    read = exchanged_columns(0, 0)
+    costs = [
+        SampleCosts.of(craft, read.assign(power_W=unit * read["power_W"]))
+        for unit in (1.0, 0.05, 190.0)
+    ]
+    for cost in costs[1:]:
+        np.testing.assert_allclose(cost.as_written, costs[0].as_written, rtol=1e-6)
+        np.testing.assert_allclose(cost.of_changes, costs[0].of_changes, rtol=1e-6)
+
+
 def test_unlit_panels_distinguish_an_exchange_from_its_mirror():
     """The Sun near +y: as written -y is lit between two dark panels, which a mirror would leave dark, and no Sun can do that."""
     sides = [

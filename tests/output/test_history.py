@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import shutil
 
 import numpy as np
@@ -122,6 +123,12 @@ def test_the_history_is_summarised_drawn_saved_and_shown_on_a_page(week, history
     assert "8 passes from 2026-03-01T12:00 to 2026-03-08T12:00 UTC, 7 decided" in done.output
     assert "it slows down, by half in" in done.output and "not decided" in done.output
     table = pd.read_csv(out / "history.csv", comment="#")
+    # the days count from the speed of the last decided pass
+    latest = table["speed_median_deg_s"][table["decided"] == 1].iloc[-1]
+    days = float(re.search(r"by half in ([\d.]+) days after the last decided pass", done.output)[1])
+    assert days == pytest.approx(
+        -latest / (2 * history.sunspin.summary()["trend_deg_s_day"]), rel=0.01
+    )
     slope = np.polyfit(np.arange(8), table["speed_median_deg_s"], 1)[0]
     summary = history.sunspin.summary()
     assert summary["trend_deg_s_day"] == pytest.approx(slope, rel=0.02)

@@ -69,7 +69,7 @@ SENSOR_VARIABLES = VARIABLES | {"wheels": "wheel_speed_rad_s"}
     "--effort",
     type=Parsed(parse_effort, "float"),
     default="1.0",
-    help="Computing budget of each pass, in fitted motions: 1 is ten times what a usual pass takes, inf is unlimited. Results do "
+    help="Computing budget of each pass, in fitted motions: 1 is enough for nearly all passes, inf is unlimited. Results do "
     "not depend on the machine's speed. A pass whose search is incomplete is not decided.",
 )
 @click.option(

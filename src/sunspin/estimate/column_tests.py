@@ -24,11 +24,13 @@ from sunspin.estimate.budget import Budget
 from sunspin.estimate.equivalence import (
     AS_WRITTEN,
     CLEARLY,
+    READINGS,
     ColumnChange,
     Observed,
     column_changes,
     equivalence,
     equivalent_changes,
+    full_sun_readings,
     rate_under,
     wheel_changes,
 )
@@ -527,25 +529,28 @@ def sample_costs(
     :data:`MOST_BRIGHTNESS`. All are shares of full Sun, in units of the error: :data:`READING_ERROR` and the noise of the inputs. A
     square counts up to :data:`MOST_SQUARE`.
     """
-    sun, gains = sphere(DIRECTIONS), vehicle.input_gains
+    sun = sphere(DIRECTIONS)
     stride = -(-max(telemetry.sizes["time"], 1) // MOST_COMPARED)
     telemetry = telemetry.isel(time=slice(None, None, stride))
-    noise = 0.0 if vehicle.input_noise is None else (vehicle.input_noise / gains).max()
+    all_read = np.nan_to_num(signals(telemetry))
+    variable = next(name for name in READINGS if name in telemetry)
+    full_sun = full_sun_readings(vehicle, variable, all_read)
+    noise = 0.0 if vehicle.input_noise is None else (vehicle.input_noise / full_sun).max()
     error = float(np.hypot(READING_ERROR, noise))
-    sunlit = (np.nan_to_num(signals(telemetry)) > error * gains.max()).any(axis=1)
+    sunlit = (all_read > error * full_sun.max()).any(axis=1)
     squares = []
     for change in changes:
         changed, data = change.applied(vehicle, telemetry.isel(time=sunlit))
-        read = np.nan_to_num(signals(data)) / gains  # (n, n_input)
-        light = changed.response_in().power(sun) / gains  # (directions, n_input)
+        read = np.nan_to_num(signals(data)) / full_sun  # (n, n_input)
+        light = changed.response_in().power(sun) / vehicle.input_gains  # (directions, n_input)
         # |read - b light|^2 = |read|^2 - 2 b (read . light) + b^2 |light|^2 is least at the brightness b = (read . light) /
         # |light|^2, if that is positive: (n, directions)
         along, light_square = read @ light.T, np.maximum((light**2).sum(axis=1), 1e-12)
         read_square = (read**2).sum(axis=1)[:, None]
         best_brightness = np.maximum(along, 0.0) / light_square
         full = 1.0
-        if vehicle.gain_unit is None and len(read):
-            # gains without a unit: full Sun is a quantile of the brightness of samples in their best directions
+        if vehicle.gain_unit != variable[-1] and len(read):
+            # gains without the unit of the readings: full Sun is a quantile of the brightness of samples in their best directions
             at_best = read_square - best_brightness * np.maximum(along, 0.0)
             direction = np.argmin(at_best, axis=1)
             full = float(np.quantile(best_brightness[np.arange(len(read)), direction], 0.9))
@@ -557,7 +562,7 @@ def sample_costs(
         return np.zeros(len(changes))
     # The Earth's light may be more than the error. Then even under the best change most samples have a square above the number of
     # inputs: all squares are made smaller by the same factor.
-    by_sample /= max(1.0, float(np.median(by_sample, axis=1).min()) / len(gains))
+    by_sample /= max(1.0, float(np.median(by_sample, axis=1).min()) / len(full_sun))
     return np.minimum(by_sample, MOST_SQUARE).sum(axis=1) / 2
 
 

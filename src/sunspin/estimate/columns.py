@@ -91,9 +91,9 @@ strong torques among them, none has a change that is better by more than 5 in lo
 TRY_COLUMNS = "estimate without `--no-column-tests` (`column_tests=False`); that tries these"
 """Advice if the caller asked for no column tests."""
 
-COLUMN_SHARE = 8.0
-"""Computing budget of the column tests, in budgets of a pass: a quick search takes 2 to 8 % of one, a whole estimate a tenth, and
-up to 21 changes of a cube are tried."""
+COLUMN_SHARE = 4.0
+"""Computing budget of the column tests, in budgets of a pass: of six panels a quick search takes 0.5 to 2 % of one, a whole
+estimate 3 %, and up to 21 changes of a cube are tried."""
 
 EstimateAgain = Callable[[Vehicle, xr.Dataset], xr.Dataset]
 """Function that runs `rates` without column tests on a vehicle and its telemetry."""

@@ -184,12 +184,9 @@ class Observed:
         lit = np.zeros(len(vehicle.inputs), dtype=bool)
         if name is not None:
             power = telemetry[name].transpose("time", "panel").values
-            share = np.nan_to_num(remove_spikes(vehicle, power)) / vehicle.input_gains
-            full_sun = 1.0
-            # full Sun is 1 only if gains have the unit of the readings, W or A, which is the last letter of the variable's name
-            if vehicle.gain_unit != name[-1] and len(share):
-                full_sun = max(float(np.quantile(share.max(axis=1), FULL_SUN_QUANTILE)), 1e-300)
-            lit = (share > LIT_SHARE * full_sun).sum(axis=0) >= LIT_SAMPLES
+            read = np.nan_to_num(remove_spikes(vehicle, power))
+            lit = (read > LIT_SHARE * full_sun_readings(vehicle, name, read)).sum(axis=0)
+            lit = lit >= LIT_SAMPLES
         names = ("gyro_B", "field_B", "attitude_B_from_N", "sun_sensor_B")
         were_read = frozenset(
             variable
@@ -198,6 +195,19 @@ class Observed:
         )
         span = float(np.ptp(telemetry["time"].values)) if telemetry.sizes.get("time") else 0.0
         return cls(vehicle, lit, span_s=span, sensors=were_read, panels=name is not None, **rest)
+
+
+def full_sun_readings(vehicle: Vehicle, name: str, read: np.ndarray) -> np.ndarray:
+    """Return the reading of each input (n_input) in full Sun on its panels, in the unit of `read` (n, n_input).
+
+    `name`: variable of the readings, whose last letter is their unit, W or A. Gains in that unit are full Sun. Relative gains,
+    numbers of cells and gains in the other unit are full Sun but for a factor: the quantile `FULL_SUN_QUANTILE` of the largest reading of a
+    sample divided by its gain.
+    """
+    gains = vehicle.input_gains
+    if vehicle.gain_unit == name[-1] or not len(read):
+        return gains
+    return gains * max(float(np.quantile((read / gains).max(axis=1), FULL_SUN_QUANTILE)), 1e-300)
 
 
 def equivalence(observed: Observed, first: ColumnChange, second: ColumnChange) -> np.ndarray:

@@ -34,7 +34,7 @@ from sunspin.estimate.field_led import (
     with_coarse_field_fits,
     with_known_field,
 )
-from sunspin.estimate.images import images_of, with_images
+from sunspin.estimate.images import with_images
 from sunspin.estimate.model import Model, Noise, Track
 from sunspin.estimate.quick import quick_evidence
 from sunspin.estimate.search import search
@@ -88,9 +88,8 @@ def one_pass(
     `nominal`: that of the samples kept for the search. `begin`: motions under a similar model, which replace the first search.
     """
     s, exact = settings, nominal
-    # each pass has its own budget, as passes are estimated side by side; symmetric solutions need more
-    flat = s.search.flat_budget if len(images_of(nominal)) > 1 else 1.0
-    budget = replace(budget, most=flat * budget.most)
+    # each pass has its own budget, as passes are estimated side by side
+    budget = replace(budget)
 
     # the search finds all motions that the readings allow, with the inertia held; in the fit all unknowns are free
     nominal, tracks = search_first(exact, begin, s.search, budget)

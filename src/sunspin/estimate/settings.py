@@ -130,10 +130,6 @@ class SearchSettings:
     places_if_flat: int = 4
     """Pairs to start from if panels lie in one plane or share inputs, and so hardly bound the Sun direction."""
 
-    flat_budget: float = 2.0
-    """Factor on the computing budget for such panels: more pairs, and each motion has its mirror image. With a magnetometer
-    a search of 40 samples takes 1.2 to 1.6 times the usual one; cut short, two such spinners were not decided."""
-
     more_places: int = 2
     """Further pairs to start from if the best candidate does not fit."""
 

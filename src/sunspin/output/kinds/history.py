@@ -45,7 +45,7 @@ def history_summary(data: Any) -> Summary:
     if numbers["trend_deg_s_day"] is None:
         lines.append("trend of the speed: not determined (it takes at least five decided passes)")
     else:
-        lines.append(_trend_text(trend, error, float(np.median(speed[decided]))))
+        lines.append(_trend_text(trend, error, float(speed[decided][-1])))
         lines += _gap_lines(data["time"].values[decided] / DAY_S)
     if differ := attrs["vehicles_differ"]:
         lines.append(
@@ -67,14 +67,16 @@ def history_summary(data: Any) -> Summary:
     return Summary(numbers, lines, notes)
 
 
-def _trend_text(trend: float, error: float, typical: float) -> str:
-    """Return the trend (deg/s per day) with its error in words; `typical` is the median speed in deg/s."""
+def _trend_text(trend: float, error: float, latest: float) -> str:
+    """Return the trend (deg/s per day) with its error in words; `latest` is the speed of the last decided pass in deg/s."""
     size = f"trend of the speed: {signed_text(trend, error, 'deg/s per day')}"
     if abs(trend) < 2 * error:
         return f"{size} (within two sigma of none)"
     if trend < 0:
-        return f"{size}: it slows down, by half in {typical / (2 * -trend):.3g} days at this pace"
-    return f"{size}: it spins up, to twice its speed in {typical / trend:.3g} days at this pace"
+        half = f"{latest / (2 * -trend):.3g} days after the last decided pass"
+        return f"{size}: it slows down, by half in {half} at this pace"
+    twice = f"{latest / trend:.3g} days after the last decided pass"
+    return f"{size}: it spins up, to twice its speed in {twice} at this pace"
 
 
 def _gap_lines(days: np.ndarray) -> list[str]:
