@@ -201,8 +201,8 @@ def full_sun_readings(vehicle: Vehicle, name: str, read: np.ndarray) -> np.ndarr
     """Return the reading of each input (n_input) in full Sun on its panels, in the unit of `read` (n, n_input).
 
     `name`: variable of the readings, whose last letter is their unit, W or A. Gains in that unit are full Sun. Relative gains,
-    numbers of cells and gains in the other unit are full Sun but for a factor: the quantile `FULL_SUN_QUANTILE` of the largest reading of a
-    sample divided by its gain.
+    numbers of cells and gains in the other unit are full Sun but for a factor: the quantile :data:`FULL_SUN_QUANTILE` of the
+    largest reading of a sample divided by its gain.
     """
     gains = vehicle.input_gains
     if vehicle.gain_unit == name[-1] or not len(read):
