@@ -38,7 +38,7 @@ from sunspin.estimate.images import with_images
 from sunspin.estimate.model import Model, Noise, Track
 from sunspin.estimate.quick import quick_evidence
 from sunspin.estimate.search import search
-from sunspin.estimate.settings import RatesSettings, SearchSettings
+from sunspin.estimate.settings import LadderSettings, RatesSettings, SearchSettings
 from sunspin.estimate.starts import (
     aliases,
     aliases_about_two_axes,
@@ -49,6 +49,7 @@ from sunspin.estimate.starts import (
 )
 from sunspin.estimate.swings import fits_of_oscillation
 from sunspin.estimate.terms.field import FieldChange
+from sunspin.estimate.terms.torques import GravityTorque
 
 
 @dataclass(frozen=True)
@@ -123,10 +124,29 @@ def one_pass(
     fits_well = best_cost(fits) <= nominal.obs.cost_limit
     if nominal.obs.only_sun and fits_well and len(s.ladder.rungs) > 1:
         fits += fits_of_oscillation(nominal, fits, s.alternatives, s.ladder)
+    fits = without_too_weak_torques(nominal, fits, s.ladder)
 
     # all rungs are equally likely, until the passes of the file are compared (`evidence.share_noise`)
     even = np.full(len(s.ladder.rungs), -np.log(len(s.ladder.rungs)))
     return PassFits(exact, tuple(fits), s.ladder.rungs, even, budget.used, budget.cut)
+
+
+def without_too_weak_torques(nominal: Model, fits: Sequence[Fit], s: LadderSettings) -> list[Fit]:
+    """Return the fits without those under torques weaker than the gravity gradient on a slow body whose orbit is not known.
+
+    In the time T a constant acceleration g changes the rate by g T, and random ones of the strength q by q sqrt(T). So q must be at
+    least g sqrt(T). A body that turns once or more in T averages the gradient out, and keeps all fits.
+    """
+    if nominal.obs.of_kind(GravityTorque) is not None or not any(map(len, fits)):
+        return list(fits)
+    omega, span_s = best_fit(fits).motions.omega[0], float(np.ptp(nominal.obs.t_s))
+    if np.linalg.norm(omega, axis=1).mean() * span_s >= 2 * np.pi:
+        return list(fits)
+    low, middle, high = np.linalg.eigvalsh(nominal.body.inertia)
+    acceleration = s.gradient_share * 1.5 * s.low_orbit_rad_s**2 * (high - low) / middle
+    least = acceleration * np.sqrt(span_s)
+    strong = [fitted for fitted in fits if fitted.model.noise.acceleration >= least]
+    return strong if any(map(len, strong)) else list(fits)
 
 
 def search_again(nominal: Model, fits: list[Fit], s: RatesSettings, budget: Budget) -> list[Fit]:
