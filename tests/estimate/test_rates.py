@@ -131,6 +131,15 @@ def test_with_a_largest_rate_below_every_solution_nothing_fits_and_is_decided():
     assert "NO SOLUTION FITS" in result.attrs["verdict"]
 
 
+def test_a_largest_rate_that_nobody_stated_is_named_if_it_is_low():
+    """One and a half revolutions between samples 45 s apart are 12 deg/s; the advice is to state a larger rate."""
+    data, _ = tumbling_pass(CUBE, 20, 45.0, seed=5, omega_B=[0.03, -0.04, 0.05], spread=0.3)
+    assumed = ss.rates(CUBE, data, acceleration_noise=1e-5)
+    assert assumed["decided"].values[0] and "no rate above 1" in assumed.attrs["verdict"]
+    stated = ss.rates(CUBE, data, acceleration_noise=1e-5, max_rate_rad_s=np.radians(20))
+    assert stated["decided"].values[0] and "no rate above" not in stated.attrs["verdict"]
+
+
 OFFSET_S = np.array([-2.0, 3.0, 0.0, 5.0, 1.0, -4.0])
 
 

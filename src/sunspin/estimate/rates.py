@@ -244,6 +244,7 @@ def rates(
         | {
             "effort": float(sum(pass_fits.used for pass_fits in fits)) / (USUAL * len(fits)),
             "samples_searched": kept,
+            "max_rate_assumed": int(beyond > 1),
             "times_rounded_to_s": float(readings.obs.time_sigma_s * np.sqrt(12)),
             **log_evidence_of_passes(assessment, fitted, passes),
             "symmetric_unlisted": 0,

@@ -15,7 +15,7 @@ from scipy.special import chdtri, ndtr  # scipy.stats takes longer to import tha
 
 from sunspin.environment.frames import FIELD_Z_LOCAL
 from sunspin.estimate.model import AS_STATED
-from sunspin.estimate.settings import SearchSettings
+from sunspin.estimate.settings import LARGEST_TURNS, SearchSettings
 from sunspin.vehicle import Vehicle
 from sunspin.vehicle.timeline import utc_after
 
@@ -55,6 +55,9 @@ WHEEL_LACKS = "torques too strong for a satellite: if a wheel turns, state it wi
 
 WHEEL_CHANGES = "the rate changes in steps, and a wheel may have changed its speed: give its speed_column, or cut the pass there"
 """Why a body whose rate has several steps is not decided if no column gives the speed of a wheel, and what to do."""
+
+SELDOM_FASTER_DEG_S = 30.0
+"""A largest rate that is assumed is printed if it is less than this: few satellites turn faster."""
 
 SUN_ALONE = "only Sun directions were used: rotation about the Sun direction is constrained only by the dynamics"
 
@@ -447,6 +450,12 @@ def rates_words(result: xr.Dataset) -> str:
         notes.append(FIELD_ALONE)
     elif not any(attrs.get(f"{name}_used") for name in (*OTHER_SENSORS, "rate_size")):
         notes.append(SUN_ALONE)
+        limit = np.degrees(attrs["max_rate_rad_s"])
+        if attrs.get("max_rate_assumed") and decided.any() and limit < SELDOM_FASTER_DEG_S:
+            notes.append(
+                f"no rate above {limit:.3g} deg/s was searched ({LARGEST_TURNS:g} revolutions between samples), as no largest rate "
+                "is stated: if the body may be faster, give `--max-rate-deg-s`"
+            )
         if count := attrs["no_sphere"]:
             notes.append(
                 f"{count_of_passes(count)}: the search assumed a sphere, which does not fit this motion: GIVE ITS INERTIA "
