@@ -132,7 +132,7 @@ def one_pass(
 
 
 def without_too_weak_torques(nominal: Model, fits: Sequence[Fit], s: LadderSettings) -> list[Fit]:
-    """Return the fits without those under torques weaker than the gravity gradient on a slow body whose orbit is not known.
+    """Return the fits without those under torques weaker than the gravity gradient on a slow body, if that is not modelled.
 
     In the time T a constant acceleration g changes the rate by g T, and random ones of the strength q by q sqrt(T). So q must be at
     least g sqrt(T). A body that turns once or more in T averages the gradient out, and keeps all fits.
