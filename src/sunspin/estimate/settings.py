@@ -182,8 +182,8 @@ class LadderSettings:
     """Sigmas of a torque that exceed the fitted one by more than this factor get no evidence: linear theory does not hold there."""
 
     low_orbit_rad_s: float = 1.1e-3
-    """Orbital rate n, rad/s, that is assumed if the gravity gradient is not modelled: that at 600 km. The gravity gradient there changes the rate of a
-    long body by 0.1 deg/s in half an hour."""
+    """Orbital rate n, rad/s, that is assumed if the gravity gradient is not modelled: that at 600 km. The gradient there changes
+    the rate of a long body by 0.1 deg/s in half an hour."""
 
     gradient_share: float = 1 / 6
     """Acceleration by the gradient that is assumed for a slow body, as a share of the largest one, 3/2 n^2 (C - A) / B. Of 12
