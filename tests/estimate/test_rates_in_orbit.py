@@ -167,6 +167,16 @@ def test_the_true_motion_is_not_lost_between_the_search_and_the_fit(tmp_path):
     assert np.abs(speed - true).max() < 4 * result["speed_sigma"].values.max()
 
 
+@pytest.mark.long
+@pytest.mark.evidence("rates", "modelled", "a simulated slow spinner with a magnetometer")
+def test_a_motion_that_the_search_lost_in_one_pass_is_found_from_the_rotation_in_another(tmp_path):
+    """A steady torque made up for it, and the pass was decided 9 sigma off."""
+    truth, result = rates_along_right_elements(spinners.cases(111, 11)[10], tmp_path)
+    sigma = np.sqrt(np.einsum("nii->ni", result["omega_cov_B"].values))
+    off = result["omega_B"].values - np.radians(truth["rates_deg_s"])
+    assert result["decided"].values.all() and (np.abs(off) < 4 * sigma).all()
+
+
 MAGNETOMETER = Magnetometer(("x", "y", "z"), np.zeros(3), 400.0, zero_sigma=np.full(3, 300.0))
 SENSORS = Sensors(magnetometer=MAGNETOMETER, disturbance=Disturbance(2e-5, max_rate_rad_s=0.05))
 PANEL, INERTIA = Panel("+X", [1, 0, 0], 1.0), np.diag([0.02, 0.028, 0.012])

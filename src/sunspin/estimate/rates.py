@@ -39,6 +39,7 @@ from sunspin.estimate.observe import (
 )
 from sunspin.estimate.one_pass import PassFitter
 from sunspin.estimate.orbit.calibration import FieldCalibration, calibrate_magnetometer
+from sunspin.estimate.other_passes import fit_from_other_passes
 from sunspin.estimate.periods import PeriodSeen, weigh_by_periods, without_periods
 from sunspin.estimate.quick import sum_of_log_sigmas
 from sunspin.estimate.rates_dataset import (
@@ -299,7 +300,7 @@ def fit_passes(
     if show_bar:
         new_fits = PassBar(new_fits, "rates", len(unfitted), leave=False, unit="pass")
     fits_by_pass = wheels.fits | dict(zip(unfitted, new_fits, strict=True))
-    fits = [fits_by_pass[k] for k in range(len(passes))]
+    fits = fit_from_other_passes([fits_by_pass[k] for k in range(len(passes))], fitter.settings)
     compared = longest_passes(passes)
     of_file = [(passes[k], fits[k]) for k in compared]
     doubt = doubted_signs(nominal.obs, of_file, *searches, fitter)
