@@ -8,7 +8,8 @@ from scipy.stats import wasserstein_distance
 import sunspin as ss
 from sunspin.estimate.scan.directions import reconstructible_mask
 from sunspin.estimate.scan.histogram import BINS, distances_to_target, target_segments
-from sunspin.estimate.scan.near_minimum import near_minimum
+from sunspin.estimate.scan.near_minimum import near_minimum, with_near_minimum
+from sunspin.output.kinds.scan import scan_summary
 from sunspin.telemetry.sun import reconstructible_patterns
 from tests.support.vehicles import FIRST_SUN
 
@@ -85,6 +86,19 @@ def test_the_near_minimum_set_by_hand():
     np.testing.assert_array_equal(near_minimum(volume, 1.1)[:, 2], [0.0, 0.1])
     with pytest.raises(ss.InputError, match="outcome"):
         near_minimum(volume.assign_coords(outcome=volume["outcome"] * 0 + 3))
+
+
+def test_the_smallest_emd_is_that_of_a_motion_that_could_be_computed():
+    coords = {"omega_x": [0.5], "omega_y": [0.1], "omega_z": [-0.1, 0.0, 0.1]}
+    volume = xr.DataArray([[[0.0, 0.2, 0.1]]], coords, AXES, "emd", {"vehicle": "a"})
+    volume = volume.assign_coords(outcome=(AXES, [[[3, 0, 0]]]))
+    summary = scan_summary(volume)
+    assert (summary["minimum"], summary["best_omega_B"]) == (0.1, [0.5, 0.1, 0.1])
+    with pytest.raises(ss.InputError, match=r"the smallest is 0\.1000"):
+        with_near_minimum(volume, xr.Dataset(), 1.1, 0.05, 0, 0)
+    none = volume.assign_coords(outcome=volume["outcome"] * 0 + 3)
+    with pytest.raises(ss.InputError, match="no motion of the grid could be computed"):
+        with_near_minimum(none, xr.Dataset(), 1.1, 0.05, 0, 0)
 
 
 @pytest.mark.parametrize(

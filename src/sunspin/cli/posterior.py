@@ -112,6 +112,7 @@ def posterior(
     observed_periods = [parse_period(text, epoch) for text in periods]
     first_s, last_s = parse_limits(samples, begin, end)
     output.claim()
+    # `sampling_options`: phase, draws and wheel_mode
     tree = sample_posterior(
         craft,
         samples,

@@ -101,6 +101,7 @@ def scan(
         target = directions["sun_B"].values[:, 2]
         weights = target_weights(study.target_weights, directions["time"].values)
     output.claim()
+    # what then remains in `scan_options`: the grid (omega_x, omega_y, omega_z), store, executor and workers
     propagation = Propagation(scan_options.pop("wheel_mode"), scan_options.pop("direction_error"))
     volume = scan_rates(
         craft,

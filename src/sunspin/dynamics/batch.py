@@ -290,6 +290,7 @@ def sun_heights(
     n = len(initial)
     seconds, outcome = np.zeros((n, bins), np.float32), np.zeros(n, dtype=np.int64)
     remaining = np.arange(n)
+    # the steps of the split kernel are chosen for EMD_ERROR (SPLIT_PHASE_ERROR), not for a smaller error or one of directions
     if error is None and ratio >= 1.0:
         remaining = _count_by_split_kernel(problem, duration_s, nodes, seconds)
     if remaining.size:
@@ -419,19 +420,19 @@ class Problem:
     def modes(self) -> np.ndarray:
         """Return what depends on which wheels turn freely, for every set of them: (n or 1, 2^n_wheel, 7).
 
-        First the factor c, 1/(kg m2), of the part c H of omega that the Taylor kernel treats apart
-        (:mod:`~sunspin.dynamics.kernels.flow`); then the six elements of A^-1. c is half way between the extreme 1 / moments, so
+        First SPIN, 1/(kg m2), of the part SPIN H of omega that the Taylor kernel treats apart
+        (:mod:`~sunspin.dynamics.kernels.flow`); then the six elements of A^-1. SPIN is half way between the extreme 1 / moments, so
         that the rest of omega is slowest.
         """
         sets = principal.free_sets(len(self.vehicle.wheels))
         inertia = np.stack([free_inertia(self.bodies, free) for free in sets], axis=1)
         smallest, largest = extreme_eigenvalues(inertia)
-        share = 0.5 / smallest + 0.5 / largest
-        return np.concatenate([share[..., None], symmetric_inverse(inertia)], axis=-1)
+        spin = 0.5 / smallest + 0.5 / largest
+        return np.concatenate([spin[..., None], symmetric_inverse(inertia)], axis=-1)
 
     @property
     def torques(self) -> int:
-        """Return which torques act, as a code of :mod:`kernels.rows`."""
+        """Return which torques act, as a code of :mod:`kernels.rows`; `acting.torques` are the torques themselves."""
         if self.acting.needs_attitude:
             return rows.GRADIENT
         return rows.STEADY if self.acting.torques else rows.NO_TORQUE

@@ -2,6 +2,8 @@
 
 Under "hold" a motor keeps the speed. Under "coast" only friction acts, and under "brake" also the brake of the vehicle file.
 What a wheel then does (turn freely, stick, break away, reverse) is computed in :mod:`sunspin.dynamics.kernels.wheels`.
+
+The public argument `wheel_mode` gives commands. The *mode* of the kernels is something else: which wheels turn freely at present.
 """
 
 from __future__ import annotations

@@ -33,7 +33,7 @@ from sunspin.estimate.lander.periods import draws_by_periods
 from sunspin.estimate.lander.priors import constant_torques, with_priors
 from sunspin.estimate.lander.sample import PredictiveCheck, resampled, sample
 from sunspin.estimate.lander.target import LanderTarget
-from sunspin.estimate.lander.tree import COUNTS, group, tree_of
+from sunspin.estimate.lander.tree import LEAST_COUNTED, group, tree_of
 from sunspin.estimate.lander.verdict import (
     PosteriorFindings,
     accused_panels,
@@ -145,7 +145,7 @@ def posterior(
     """
     require_whole("seed", seed, 0)
     require_whole("draws", draws, 1)
-    # streams of random numbers: for each of three models, and again after a second search; for the draws of the result; for checks
+    # streams of random numbers: 0 to 2 for the models, 3 to 5 for them after a search under torques, 6 for the result, 7 for checks
     streams = [np.random.default_rng(child) for child in np.random.SeedSequence(seed).spawn(8)]
     of_models, of_result, of_checks = streams[:6], streams[6], streams[7]
     say = progress if callable(progress) else _write_line if progress else lambda _: None
@@ -158,7 +158,7 @@ def posterior(
     doubts, mix = draw_all_models(nominal, priors, of_models, budget, say)
     picked = resampled(mix.draws.log_weight, draws, of_result)
     check, outliers = mix.check(picked, of_checks, settings.sampling)
-    searched_rad_s = min(nominal.carrier.reference.limit, nominal.fit.model.max_rate)
+    searched_rad_s = nominal.carrier.reference.limit
     prior_sigma = searched_rad_s / np.sqrt(5)  # of each component if the rate is uniform in a ball
     tree = tree_of(mix, picked, nominal.carrier.stages, prior_sigma)
     tree.attrs.update(_about(nominal, telemetry, priors, wheel_mode), seed=int(seed))
@@ -217,14 +217,8 @@ def search_under(carrier: Shooting) -> LanderMotions:
     settings = carrier.settings
     carrier.announce_starts()
     starts = grid_starts(carrier.model, carrier.reference, settings.grid, carrier.workers)
-
-    def watch(window: slice, kept: LanderMotions) -> None:
-        """Note how many motions a window leaves, and pass them on to the function that the settings have."""
-        carrier.note_window(window, kept)
-        if settings.search.watch is not None:
-            settings.search.watch(window, kept)
-
-    watched = replace(settings.search, watch=watch)
+    watched = replace(settings.search, watch=carrier.note_window)
+    # the budget ends nothing: `search` asks it before a further place only, and there is one
     return search(carrier, starts, watched, Budget(settings.motions))
 
 
@@ -261,6 +255,7 @@ def draw_all_models(
         text = "solutions with a constant torque were not searched, as this would take longer than the search without"
         return [*doubts, Doubt(text, left_out=True)], mix
     say("no motion explains the readings: searching under constant torques")
+    # the budget does not count these searches: `ShootingSettings.most_search` limits each
     searched = [fit_under(torque, nominal, search_under(torque)) for torque in torques]
     fits, doubts = draw_models([fits[0], *searched], nominal, streams[3:6], budget)
     return doubts, Mixture.of(fits, settings.sampling, carrier.workers)
@@ -302,11 +297,11 @@ def draw_models(
     evidence = np.array([logsumexp(fit.log_evidence) for fit in fits])  # log, by Laplace's method
     promising = evidence > evidence.max() - settings.hopeless
     chosen = [h for h in range(len(fits)) if h == 0 or promising[h]]
-    # the budget is divided before the first draw, so that results do not depend on which model is ready first
+    # The budget is divided before the first draw, so that results do not depend on which model is ready first. One part is left,
+    # which the draws after a search under torques may use.
     most = (budget.most - budget.used) / (len(chosen) + 1) / count
-    cost_limit = nominal.carrier.cost_limit(
-        slice(0, count)
-    )  # cost that a true motion does not exceed
+    # the cost that a true motion does not exceed
+    cost_limit = nominal.carrier.cost_limit(slice(0, count))
 
     def with_draws(h: int) -> tuple[ModelFit, Budget]:
         """Return the fit of model h with draws, and the budget spent on them, in motions over the whole stretch of samples.
@@ -338,7 +333,7 @@ def draw_models(
             possible.append(fit)
         elif h == 0:
             raise _nothing_drawn(fit.model)
-        elif evidence[h] > logsumexp(evidence) + np.log(COUNTS):
+        elif evidence[h] > logsumexp(evidence) + np.log(LEAST_COUNTED):
             drawn = "but no motion that it allows could be drawn"
             doubts.append(Doubt(f"{fit.model.what} may explain the readings too, {drawn}"))
     return possible, doubts
@@ -432,7 +427,7 @@ def _findings(
     """
     solutions, panels = group(tree, "solutions"), nominal.fit.model.panels
     probability = solutions["probability"].values
-    if np.any(solutions["starts"].values[probability >= COUNTS] == 1):
+    if np.any(solutions["starts"].values[probability >= LEAST_COUNTED] == 1):
         text = "a solution was reached from one start only, so others may be missing"
         doubts = [Doubt(text), *doubts]
     read = panels.present()  # (n) samples with a reading
@@ -487,6 +482,6 @@ def _verdict_attributes(
         "log_evidence": mix.draws.log_evidence,
         "remarks": "; ".join(nominal.window.remarks),
         "spoilt_readings": float(outliers.sum()),
-        # probabilities of the models
+        # probabilities of the models; the variable `hypotheses` of the group `search` counts motions
         "hypotheses": json.dumps({what: round(share, 4) for what, share in probability.items()}),
     }

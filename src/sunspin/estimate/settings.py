@@ -282,11 +282,11 @@ class SamplingSettings:
     rounds: int = 16
     """Most rounds of draws."""
 
-    soft_rad: float = 0.25
+    weak_rad: float = 0.25
     """A direction of rate and Sun is weakly constrained if its sigma for fixed unknowns, as a turn within the window, is larger.
     Philae's second one has 0.08 (5.3 if the unknowns vary): as an outer coordinate it left 45 effective draws of 16,000."""
 
-    most_softs: int = 2
+    most_weak: int = 2
     """Most weakly constrained directions."""
 
     trace: int = 180

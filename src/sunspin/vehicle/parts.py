@@ -186,7 +186,7 @@ class Friction(Part):
 
     def __post_init__(self, spin_down: SpinDown | None) -> None:
         if spin_down is not None:
-            # kept outside the fields until the wheel converts it
+            # no field: `of_wheel` converts it, called by the wheel, which knows its inertia
             vars(self)["measured"] = spin_down
 
     def of_wheel(self, inertia_kg_m2: float) -> Friction:

@@ -48,8 +48,8 @@ class Stage(NamedTuple):
 class Shooting:
     """Steps of a search for motions that are given by one state at the reference (:class:`sunspin.estimate.search.Carrier`).
 
-    Samples are at the times `t_s` (n) from the reference; a window is a slice of them. `doubts`: on the search so far;
-    `work`: motions times samples that were fitted; `stages`: windows.
+    Samples are at the times `t_s` (n) from the reference; a window is a slice of them. `doubts`: on the search so far; `work`:
+    motions times samples that were fitted to windows (the fits to all samples are not counted); `stages`: windows.
     """
 
     def __init__(
@@ -87,16 +87,17 @@ class Shooting:
             self.doubts.append(doubt)
 
     def fit(self, motions: LanderMotions, window: slice) -> LanderMotions:
-        """Return motions fitted to the samples of a window, under one level after the other: a factor on the noise, with its steps.
+        """Return motions fitted to the samples of a window, under several levels in turn: factors on the noise with their steps.
 
-        Motions that fit far too badly after the first level go no further. In windows larger than the first one in which body and
-        wheel are free, the distinct motions are fitted twice, as a new sample moves a motion far along its ridge. A fit computes
-        derivatives only once, where it begins, and they do not hold so far away. The second fit takes as long as the first.
+        Motions that fit far too badly after the first level are not fitted under the others. In windows larger than the first one
+        in which body and wheel are free, the distinct motions are fitted twice, as a new sample moves a motion far along its ridge.
+        A fit computes derivatives only once, where it begins, and they do not hold so far away. The second fit takes as long as the
+        first.
         """
         s = self.s
         problem, held = self._problem(window)
-        # motions of the grid of starts were never fitted to a window: `neighbours_s` is still empty
-        levels = s.levels if len(motions.neighbours_s) else s.first_levels
+        # the search begins with the window about the reference
+        levels = s.first_levels if window == self.reference.window else s.levels
         # Only motions that do not fit cost more than this. Noise wider by a factor adds the log of it to the cost of each number.
         excess = np.log(levels[0][0]) + s.not_yet  # of each number
         hopeless = self.cost_limit(window) + _explained(problem.model) * excess
@@ -109,9 +110,11 @@ class Shooting:
         return fitted
 
     def note_window(self, window: slice, kept: LanderMotions) -> None:
-        """Add a window to `stages`; `kept`: what is left of the motions that were fitted to it last."""
+        """Add a window to `stages`, and call the `watch` of the settings; `kept`: what is left of the motions fitted to it last."""
         samples = window.stop - window.start
         self.stages.append(Stage(samples, self._fitted_to_window, len(kept)))
+        if self.settings.search.watch is not None:
+            self.settings.search.watch(window, kept)
 
     def _fitted(self, problem: FitProblem, motions: LanderMotions, fit: partial) -> LanderMotions:
         """Return the result of the function `fit` of motions, which solves `problem`, computed by all workers."""
@@ -178,7 +181,7 @@ class Shooting:
         if not is_grid or len(motions) <= s.few_starts:
             motions = with_neighbours(motions, reach_s, self.model.max_rate, s)
         else:
-            # the many starts of the grid are dense enough without neighbours, for which alone curvatures are needed here
+            # The many starts of the grid are dense enough without neighbours. Curvatures are dropped: only neighbours need them.
             motions = replace(motions, curvature=motions.curvature[:0])
         allowed = np.ones(len(motions), dtype=bool)
         for sample in (window.start - 1, window.stop):
@@ -323,9 +326,10 @@ def log_evidence(model: LanderModel, cost: np.ndarray, curvature: np.ndarray) ->
     """
     # for directions that neither readings nor priors determine
     floor = 1e-9 * np.eye(curvature.shape[-1])
-    # inverse of the prior density of rate and direction, and the part of the unknowns' prior that is allowed
+    # log of the inverse prior density of rate and direction, and log of the part of the unknowns' prior whose bodies can exist
     prior = np.log(4 / 3 * np.pi * model.max_rate**3) + np.log(4 * np.pi) + model.log_possible
-    # of the (2 pi)^(D / 2) of a normal density the norm of the unknowns' prior cancels (2 pi)^(m / 2); five coordinates are left
+    # Log of the integral of exp(-x C x / 2) over D = 5 + m coordinates x, times the norm of the prior of the m unknowns.
+    # That norm cancels (2 pi)^(m / 2) of the factor (2 pi)^(D / 2).
     volume = 2.5 * np.log(2 * np.pi) - 0.5 * np.linalg.slogdet(curvature + floor)[1]
     return -cost + volume - prior
 

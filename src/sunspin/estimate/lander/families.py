@@ -120,8 +120,8 @@ def with_neighbours(
     """Return the motions, then neighbours of those that belong to a family, for a window up to `reach_s` from the reference.
 
     A motion belongs to a family if some combination of rate and direction leaves the attitude at that time uncertain by more than
-    `family_rad`. Its neighbours are displaced along the most uncertain combinations, alone and together. Their unknowns are the
-    same, as a fit finds those from either. Rates have at most `max_rate` (rad/s) by the prior.
+    `family_rad`. Its neighbours are displaced along the most uncertain combinations, alone and together. They have the unknowns of
+    that motion, which the next fit changes. The prior limits rates to `max_rate` (rad/s).
     """
     # covariance of rate and direction with a weak prior, as a rotation (rad) at that time
     to_rad = np.array([reach_s] * 3 + [1.0] * 2)

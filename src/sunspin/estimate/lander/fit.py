@@ -8,7 +8,8 @@ runs (integrations of the equations of motion). After each step they are correct
 Shapes: a motion has D coordinates (:mod:`sunspin.estimate.lander.motions`), of which F are free in a fit. The first c of these
 change the motion, the others (gains, brightness, misalignments) only the readings. R residuals are predicted less read numbers in
 sigmas: of p panels at each of n samples, then of other observations. The `track` (K, n, w) is what sensors depend on: the direction
-to the Sun at each sample (w = 3), and the rate too if it is needed (w = 6); `track_slopes` (K, c, n, w) are its derivatives.
+to the Sun at each sample (w = 3), and the rate too if it is needed (w = 6); `track_slopes` (K, c, n, w) are its derivatives. It is
+an array, not the class `Track` of :mod:`sunspin.estimate.model`.
 """
 
 from __future__ import annotations

@@ -57,9 +57,11 @@ class Reference:
     """The sample at which rate and direction define a motion, and the grid of rates there on which the search begins.
 
     `sample`: its index; `after_s`: its time after the first sample; `window`: it and its two neighbours, whose indices are `others`
-    (m). The search tries the directions to the Sun `suns` (c, 3), body axes, with rates on a cubic grid, `edge` apart, up to
-    `limit`. The prior is uniform for rates up to `prior_max_rate` at the first sample. `max_rate`: the largest rate at the
-    reference that may result; `fastest`: motions that are faster than this at the first sample are left out. Rates are in rad/s.
+    (m). The search tries the directions to the Sun `suns` (c, 3), body axes, with rates on a cubic grid, `edge` apart.
+
+    Four largest rates (rad/s). At the first sample: `prior_max_rate`, up to which the prior is uniform, and `fastest`, which has a
+    margin: faster motions are left out. At the reference: `max_rate`, the largest that may result from the prior, and `limit`, that
+    of the grid. `limit` is `max_rate`, or less than `prior_max_rate` if the grid would have too many cells.
     """
 
     sample: int
@@ -110,7 +112,7 @@ def choose_reference(model: LanderModel, s: GridSettings, given_rate: bool = Fal
             do=f"with these samples give {smaller.max_rate:.3g} at most",
         )
     placed = reference.about(model)
-    _require_computable(placed, placed.obs.t_s, min(reference.limit, reference.max_rate))
+    _require_computable(placed, placed.obs.t_s, reference.limit)
     return reference
 
 
@@ -266,7 +268,7 @@ def grid_starts(
     by_misfit = np.argsort(first)
     best = order[first[by_misfit]]
     motions = replace(model.at_centres(omega[best], sun[best]), starts=count[by_misfit])
-    # leave out motions that were too fast at the first sample
+    # Leave out motions that were too fast at the first sample. There may be no motion at all, hence the empty array below.
     begins = range(0, len(motions), RUNS_AT_ONCE)
     pieces = [motions.take(slice(k, k + RUNS_AT_ONCE)) for k in begins]
     with ThreadPoolExecutor(workers) as pool:

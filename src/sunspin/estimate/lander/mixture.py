@@ -55,7 +55,8 @@ def join_models(
     """Return the draws of several models together, weighted by the evidence of each model; the first is the nominal one.
 
     Other models of negligible probability are left out. Solutions of two models become one if they differ by no more than the
-    alternative model may change a motion. `reach_s`: longest time from the reference to a sample.
+    alternative model may change a motion. The evidence of the result is the sum, not the mean, of those of the models; no
+    probability depends on that. `reach_s`: longest time from the reference to a sample.
     """
     evidence = np.array([draws.log_evidence for draws in drawn])
     probability = np.exp(evidence - logsumexp(evidence))  # of each model
@@ -96,9 +97,10 @@ def _labels_over_models(
     known: list[tuple[np.ndarray, np.ndarray]] = []  # mean and covariance of each solution
 
     def squared_distance(mean: np.ndarray, covariance: np.ndarray, number: int) -> float:
-        """Return the squared distance from a known solution, in sigmas of the wider of the two.
+        """Return the squared distance from a known solution: in sigmas of the wider of the two or, if it is smaller, `by_model`.
 
-        It is at most the limit `one_region` if another model may cause the distance: less than `bent_rad` and `sun_rad`.
+        Another model may change a motion by `bent_rad` and `sun_rad`: for a smaller difference `by_model` is below the limit
+        `one_region`, and the two are one solution.
         """
         off, wider = mean - known[number][0], max((covariance, known[number][1]), key=np.trace)
         rotation = np.linalg.norm(off[RATE]) / settings.bent_rad
@@ -108,6 +110,7 @@ def _labels_over_models(
 
     of_draws: dict[int, np.ndarray] = {}
     for m in sorted(models, key=lambda m: -probability[m]):
+        # solutions are compared with those of the models before this one, not with each other
         draws, earlier = drawn[m], len(known)
         share = draws.probability
         # index among all solutions, by the index among the model's own

@@ -297,10 +297,8 @@ class LanderModel:
         bodies = self.bodies(u)
         for i, (wheel, command) in enumerate(zip(wheels, self.commands, strict=True)):
             if command != "hold":
-                # torque of the brake, zero if it is off; it acts like Coulomb friction
-                brake_N_m = friction_limit(wheel, command) - wheel.friction.coulomb_N_m
                 speeds[:, i] = spin_down_speed(
-                    bodies.coulomb_N_m[:, i] + brake_N_m,
+                    friction_limit(wheel, command, bodies.coulomb_N_m[:, i]),
                     bodies.viscous_N_m_s[:, i],
                     bodies.wheel_inertia_kg_m2[:, i],
                     speeds[:, i],

@@ -145,7 +145,7 @@ class Draws:
     evidence; `log_evidence` is its log. `model_index` (N): index of the model of each draw, whose unknowns are those of the motion.
     `solution` (N): index of the solution that a draw belongs to, the most probable being 0. `effective`: effective sample size;
     `pareto_k`: Pareto index of the weights; `rounds` (r, 3): log evidence, effective share of draws and Pareto index after each
-    round of sampling.
+    round of sampling; of several models one after the other.
     """
 
     motions: LanderMotions

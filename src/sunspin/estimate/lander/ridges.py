@@ -103,8 +103,8 @@ class Chart:
         conditional = to_rad @ conditional @ to_rad
         variance, vectors = np.linalg.eigh((conditional + conditional.T) / 2)
         # without outer unknowns one combination at least is outer, so that y is not empty
-        weak = int(np.sum(variance > settings.soft_rad**2))
-        weak = int(np.clip(weak, len(unknowns) == 0, settings.most_softs))
+        weak = int(np.sum(variance > settings.weak_rad**2))
+        weak = int(np.clip(weak, len(unknowns) == 0, settings.most_weak))
         of_motion = np.searchsorted(
             unknowns, target.motion_unknowns
         )  # their places among the outer

@@ -13,7 +13,7 @@ from sunspin.estimate.lander.fit import FINAL_ERROR
 from sunspin.estimate.lander.mixture import Mixture
 from sunspin.estimate.lander.sample import resampled
 
-COUNTS = 0.01
+LEAST_COUNTED = 0.01
 """A solution with less probability does not count: neither for uniqueness nor as an alias."""
 
 LEAST_PROBABILITY = 1e-4
@@ -21,7 +21,7 @@ LEAST_PROBABILITY = 1e-4
 
 TOO_FEW = 10.0
 """Effective sample size below which the covariance of a solution is that of all rates proposed there, as the few draws that have
-weight spread too little. A solution with a probability below `COUNTS` is then not listed."""
+weight spread too little. A solution with a probability below `LEAST_COUNTED` is then not listed."""
 
 OF_SOLUTION = 4000
 """Draws of equal weight that give mean and covariance of a solution."""
@@ -165,10 +165,10 @@ def _solution_rows(
 def _listed(mix: Mixture) -> int:
     """Return how many solutions are listed: those before the first that is too improbable, but one at least.
 
-    Too improbable are those below `LEAST_PROBABILITY`, and those below `COUNTS` with an effective size below `TOO_FEW`.
+    Too improbable are those below `LEAST_PROBABILITY`, and those below `LEAST_COUNTED` with an effective size below `TOO_FEW`.
     """
     for solution, share in enumerate(mix.share):
-        too_few = share < COUNTS and mix.effective(solution) < TOO_FEW
+        too_few = share < LEAST_COUNTED and mix.effective(solution) < TOO_FEW
         if share <= LEAST_PROBABILITY or too_few:
             return max(1, solution)
     return len(mix.share)

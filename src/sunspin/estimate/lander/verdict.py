@@ -8,7 +8,7 @@ import numpy as np
 import xarray as xr
 
 from sunspin.estimate.lander.motions import Doubt
-from sunspin.estimate.lander.tree import COUNTS, TOO_FEW, group
+from sunspin.estimate.lander.tree import LEAST_COUNTED, TOO_FEW, group
 from sunspin.estimate.verdict import NARROWER, SPEEDS, UPPER, Answers, PassRow, Speed, drawn_speeds
 
 NOT_EXPLAINED = 0.002
@@ -60,8 +60,8 @@ class PosteriorFindings:
 
     @property
     def counted(self) -> np.ndarray:
-        """Return the indices of the solutions that are probable enough to count (:data:`COUNTS`)."""
-        return np.flatnonzero(self.probability >= COUNTS)
+        """Return the indices of the solutions that are probable enough to count (:data:`LEAST_COUNTED`)."""
+        return np.flatnonzero(self.probability >= LEAST_COUNTED)
 
     @property
     def approximate(self) -> list[str]:

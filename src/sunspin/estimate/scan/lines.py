@@ -1,9 +1,9 @@
 """Fit of several straight lines to a cloud of points, when it is not known which point belongs to which line.
 
 The fit minimises the sum of distances (not squared) of the points from their nearest line, as the paper fits its four lines to the
-near-minimum set (section 2.3). Candidates are lines through pairs of points. A search from many starts selects the set of
-candidates that fits best (a facility-location problem). Then points are assigned to lines and lines fitted to their points, in
-turn. Lines are given by a point ("origin") and a unit direction each. Points are body rates (rad/s).
+near-minimum set (section 2.3). Candidates are here lines through pairs of points (not motions, as in the glossary). A search from
+many starts selects the set of candidates that fits best (a facility-location problem). Then points are assigned to lines and lines
+fitted to their points, in turn. Lines are given by a point ("origin") and a unit direction each. Points are body rates (rad/s).
 """
 
 from __future__ import annotations

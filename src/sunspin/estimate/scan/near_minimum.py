@@ -33,27 +33,35 @@ def near_minimum(emd: xr.DataArray, factor: float = 1.1) -> np.ndarray:
     """
     if not factor > 1:
         raise InputError("the factor of the near-minimum set must exceed 1", got=factor)
-    values = _computed(emd)
-    if not np.isfinite(values).any():
-        raise InputError(
-            "no motion of the grid could be computed", do="see its coordinate `outcome`"
-        )
     # if the smallest is 0, only 0 is below the least positive number
-    return below(emd, max(factor * np.nanmin(values), np.nextafter(0.0, 1.0)))
+    return below(emd, max(factor * _smallest(emd), np.nextafter(0.0, 1.0)))
 
 
 def below(emd: xr.DataArray, threshold: float) -> np.ndarray:
-    """Return the grid points (n, 3) in rad/s with EMD below a threshold. Rows that could not be computed are left out."""
-    indices = np.nonzero(_computed(emd) < threshold)
+    """Return the grid points (n, 3) in rad/s whose EMD or E is below a threshold, without rows that could not be computed."""
+    indices = np.nonzero(where_computed(emd).values < threshold)
     rates = [emd[rate].values[i] for rate, i in zip(RATES, indices, strict=True)]
     return np.stack(rates, axis=-1)
 
 
-def _computed(emd: xr.DataArray) -> np.ndarray:
-    """Return the values (n_x, n_y, n_z) of a scan, NaN where a motion could not be computed."""
-    if "outcome" in emd.coords:
-        emd = emd.where(emd["outcome"] == Outcome.FINE)
-    return emd.transpose(*RATES).values
+def where_computed(volume: xr.DataArray) -> xr.DataArray:
+    """Return the EMD or E (n_x, n_y, n_z) of a scan, NaN where a motion could not be computed.
+
+    The EMD of such a motion is that of the part that was computed.
+    """
+    if "outcome" in volume.coords:
+        volume = volume.where(volume["outcome"] == Outcome.FINE)
+    return volume.transpose(*RATES)
+
+
+def _smallest(volume: xr.DataArray) -> float:
+    """Return the smallest EMD or E of a scan; raise InputError if no motion could be computed."""
+    values = where_computed(volume).values
+    if not np.isfinite(values).any():
+        raise InputError(
+            "no motion of the grid could be computed", do="see its coordinate `outcome`"
+        )
+    return float(np.nanmin(values))
 
 
 def with_near_minimum(
@@ -76,7 +84,7 @@ def with_near_minimum(
         raise InputError(
             "no motion of the grid comes below --threshold",
             got=threshold,
-            do=f"the smallest is {float(volume.min()):.4f}",
+            do=f"the smallest is {_smallest(volume):.4f}",
         )
     criterion = {"factor": factor} if threshold is None else {"threshold": threshold}
     scan = volume.to_dataset().assign(
@@ -84,7 +92,8 @@ def with_near_minimum(
     )
     if n_lines and len(points) >= 2 * n_lines:
         lines = fit_lines(points, n_lines, seed=seed)
-        # the points `n` of the lines are those of the set, but their components `axis` are no rates; the scan's attributes remain
+        # The points `n` of the lines are those of the set. Components of directions, which are no rates, share the dimension `axis`
+        # of the lines, so it is not `rate_axis`. "override" keeps the attributes of the scan.
         lines = lines.rename({"axis": "line_axis", "n": "near_point"})
         scan = scan.merge(lines, combine_attrs="override")
     of_vehicle = {key: volume.attrs[key] for key in ("vehicle", "changes") if key in volume.attrs}

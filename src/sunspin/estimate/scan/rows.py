@@ -120,6 +120,7 @@ class Measure(NamedTuple):
 
 
 MEASURES = {
+    # the target of the EMD: segments of `target_segments`
     "emd": Measure(True, "float64", (), lambda run, cdf: distances_to_target(run.seconds, cdf)),
     "hist": Measure(True, "float32", (BINS,), lambda run, _: run.seconds),
     "E": Measure(False, "float64", (), lambda run, sun_B: direction_error(run.sun_B, sun_B)),
@@ -140,7 +141,7 @@ class ScanRows:
     mask : directions that count in a histogram: "reconstructible", or None for all
     emd_error, direction_error : allowed error of the EMD, or of the Sun direction at the end (rad). If neither is given, it is 1e-3
         of the EMD, or 1e-3 rad for E.
-    condition : the directions of the mask as data for the compiled code
+    condition : the set of directions that `mask` names, `counted` of :func:`batch.sun_heights`; None if all count
     """
 
     vehicle: Vehicle
@@ -155,7 +156,7 @@ class ScanRows:
     condition: DirectionSet | None = field(init=False)
 
     def __post_init__(self) -> None:
-        """Check the options, and set the default error and `condition`: the directions of the mask as compiled code takes them."""
+        """Check the options, and set the default error and `condition`."""
         if self.mask not in ("reconstructible", None):
             raise InputError('mask must be "reconstructible" or None', got=self.mask)
         batch.one_command(self.vehicle, self.wheel_mode)  # only for its check of the mode

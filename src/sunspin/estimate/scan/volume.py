@@ -162,7 +162,8 @@ def as_volume(
 ) -> xr.DataArray:
     """Return the measure `name` of all rows over the grid of rates with their outcomes, as `scan` returns it.
 
-    `values`: arrays (n_row) by name, among them `name` and "outcome"; `directions`: number of measured directions.
+    `vehicle`: that of the caller, with its changes, which `rows.vehicle` may lack. `name` is `rows.measure`, or "emd" if rows keep
+    histograms. `values`: arrays (n_row) by name, among them `name` and "outcome"; `directions`: number of measured directions.
     """
     start = rows.start
     axes = {rate: (rate, getattr(start, rate), {"units": "rad s-1"}) for rate in RATES}

@@ -433,8 +433,8 @@ class Panels(Term):
     def _sunlight(self, states: States, gain: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the readings (K, n, p) of full Sun at the instants of the readings, and their derivatives (K, n, p, 3) by a turn.
 
-        `gain` (K, 1, p). The Sun is moved from the time of the row to that of the reading at a constant rate. The derivative by the
-        rate is neglected.
+        `gain` (K, 1, p), or (K, n, p) if it changes. The Sun is moved from the time of the row to that of the reading at a constant
+        rate. The derivative by the rate is neglected.
         """
         light, by_turn = 0.0, 0.0
         # a turn t of the body moves the Sun in body axes by sun x t

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from sunspin.estimate.scan.near_minimum import near_minimum
+from sunspin.estimate.scan.near_minimum import near_minimum, where_computed
 from sunspin.output.figures import COLOURS, axes_grid, styled
 from sunspin.output.kind import KINDS, Context, Drawing, Kind, Summary, Table
 from sunspin.output.text import count_text, number_text, rate_text
@@ -23,13 +23,13 @@ SMALLEST_DRAWN = 1e-6
 
 
 def read_misfit(scan: Any) -> xr.DataArray:
-    """Return the misfit (E or EMD) over the three rates, of a scan as returned or as stored.
+    """Return the misfit (E or EMD) over the three rates, of a scan as returned or as stored; NaN if a motion could not be computed.
 
     The attribute `metric` of the DataArray says which misfit it is: "E" or "EMD".
     """
     volume = scan if isinstance(scan, xr.DataArray) else scan["emd" if "emd" in scan else "E"]
     metric = "EMD" if volume.name == "emd" else "E"
-    return volume.transpose(*DIMS).assign_attrs(scan.attrs, metric=metric)
+    return where_computed(volume).assign_attrs(scan.attrs, metric=metric)
 
 
 def read_near_minimum(scan: Any) -> tuple[np.ndarray, str]:
