@@ -10,7 +10,6 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from sunspin.estimate.chain import costs, propagate
 from sunspin.estimate.evidence import PassFits, best_fit, merge_fits
@@ -19,6 +18,7 @@ from sunspin.estimate.one_pass import fit_tracks, without_too_weak_torques
 from sunspin.estimate.settings import LadderSettings, RatesSettings
 from sunspin.estimate.terms.field import KnownField
 from sunspin.estimate.terms.term import facing
+from sunspin.solve.rotations import rotate_attitude
 from sunspin.vehicle.response.planes import sphere
 
 STEADY = 0.1
@@ -76,10 +76,9 @@ def _motions_of_rate(model: Model, rate: np.ndarray) -> Track:
     (searched, *_) = model.for_search(model.noise)
     # without a known field the angle about the Sun changes nothing
     count = 1 if model.obs.of_kind(KnownField) is None else ANGLES
-    about_sun = Rotation.from_rotvec(
-        np.linspace(0, 2 * np.pi, count, endpoint=False)[:, None] * [0, 0, 1]
-    )
-    attitudes = (facing(sphere(DIRECTIONS))[:, None] @ about_sun.as_matrix()).reshape(-1, 3, 3)
+    directions = sphere(DIRECTIONS)[:, None]
+    turns = np.linspace(0, 2 * np.pi, count, endpoint=False)[:, None] * directions
+    attitudes = rotate_attitude(facing(directions), turns).reshape(-1, 3, 3)
     rates = np.broadcast_to(rate, (len(attitudes), 3))
     trials = propagate(searched, len(model.obs) // 2, attitudes, rates)
     order = np.argsort(costs(searched.obs, trials).sum(axis=1), kind="stable")
