@@ -92,7 +92,7 @@ def one_pass(
     # each pass has its own budget, as passes are estimated side by side
     budget = replace(budget)
 
-    # the search finds all motions that the readings allow, with the inertia held; in the fit all unknowns are free
+    # the search finds all motions that the readings allow, mostly with the inertia held; in the fit all unknowns are free
     nominal, tracks = search_first(exact, begin, s.search, budget)
     fits = fit_tracks(nominal, tracks, s.search.noise, s)
     fits = search_again(nominal, fits, s, budget)
@@ -103,7 +103,7 @@ def one_pass(
             do="add samples, or check their errors",
         )
 
-    # Motions that the search may lose, as it holds the inertia: bodies of another shape, then whole revolutions more or less of all
+    # Motions that the search may lose if it holds the inertia: bodies of another shape, then whole revolutions more or less of all
     # that is found. This order, as a body without an inertia has its aliases only when its shape is known. `factor`: on a largest
     # rate that nobody stated; for revolutions about two axes any body may exceed that, as they are few.
     beyond = s.alternatives.beyond if _inertia_by_sun(nominal) and nominal.body.sphere else 1.0
