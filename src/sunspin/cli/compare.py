@@ -52,9 +52,7 @@ def compare(folder, paths, frame, base, epoch, output) -> None:
         output.report(summary, [line])
         return
     if frame is None:
-        do = (
-            "name the body's frame in the kernels, or give a second results folder or one AEM (KVN)"
-        )
+        do = "name the body's frame in the kernels, or give a results folder or an AEM in KVN"
         raise InputError("--frame is missing", do=do)
     summary, line = against_kernels(folder, paths, frame, base or "J2000", epoch)
     output.report(summary, [line])

@@ -24,6 +24,7 @@ from sunspin.estimate.budget import Budget
 from sunspin.estimate.equivalence import (
     AS_WRITTEN,
     CLEARLY,
+    FULL_SUN_QUANTILE,
     READINGS,
     ColumnChange,
     Observed,
@@ -109,6 +110,11 @@ class BetterChanges:
     at_s: float = np.nan
     fits: bool = True
     estimate: xr.Dataset | None = None
+
+    @property
+    def cost(self) -> float:
+        """Return minus the log posterior of the best solution of `estimate`; NaN without one."""
+        return np.nan if self.estimate is None else float(self.estimate["cost"].values[0, 0])
 
     def words(self, clock: Callable[[float], str] = lambda t: f"{t:.0f} s") -> str:
         """Return a sentence for the verdict, with a line for each of several changes.
@@ -553,7 +559,8 @@ def sample_costs(
             # gains without the unit of the readings: full Sun is a quantile of the brightness of samples in their best directions
             at_best = read_square - best_brightness * np.maximum(along, 0.0)
             direction = np.argmin(at_best, axis=1)
-            full = float(np.quantile(best_brightness[np.arange(len(read)), direction], 0.9))
+            at_direction = best_brightness[np.arange(len(read)), direction]
+            full = float(np.quantile(at_direction, FULL_SUN_QUANTILE))
         brightness = np.minimum(best_brightness, MOST_BRIGHTNESS * full)
         square = read_square + brightness * (brightness * light_square - 2 * along)
         squares.append(square.min(axis=1) / error**2)

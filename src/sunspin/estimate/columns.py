@@ -393,13 +393,7 @@ def _with_rivals(
     # with misaligned panels, any cost will do: the misalignment may stand for exchanged columns and then makes the cost low.
     misaligned = str(result["model"].values[k]).startswith(MISALIGNED)
     most_cost = np.inf if misaligned else float(result["cost"].values[k, 0]) - CLEARLY
-    accusing = [
-        rival
-        for rival in rivals
-        if rival.gain > CLEARLY
-        and rival.estimate is not None
-        and float(rival.estimate["cost"].values[0, 0]) <= most_cost
-    ]
+    accusing = [rival for rival in rivals if rival.gain > CLEARLY and rival.cost <= most_cost]
     if accusing:
         best = accusing[0]
         near_best = [rival for rival in accusing if rival.gain > best.gain - CLEARLY]

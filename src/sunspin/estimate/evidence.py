@@ -330,9 +330,8 @@ def best_motions(fits: Sequence[Fit], count: int, search_settings: SearchSetting
     """
     nominal_fits = [fitted for fitted in fits if fitted.model.what == AS_STATED and len(fitted)]
     if not nominal_fits:
-        none = Track.unfitted(
-            np.zeros((0, 0, 3, 3)), np.zeros((0, 0, 3))
-        )  # no motion, at no samples
+        # no motion, at no samples
+        none = Track.unfitted(np.zeros((0, 0, 3, 3)), np.zeros((0, 0, 3)))
         return fits[0].motions.take(slice(0)) if fits else none
     motions = Track.joined([fitted.to_begin_from for fitted in nominal_fits])
     log_evidence = np.concatenate([fitted.log_evidence for fitted in nominal_fits])
