@@ -10,6 +10,7 @@ import xarray as xr
 
 import sunspin as ss
 from sunspin.base.errors import printable, sentence
+from sunspin.cli.interruption import STOPPED
 from sunspin.compute.rows import ensemble
 from sunspin.vehicle import Panel, Vehicle, Wheel
 from sunspin.vehicle.file import parse_vehicle
@@ -111,6 +112,7 @@ def test_an_unexpected_exception_is_reported_as_a_fault_of_sunspin(monkeypatch, 
 
     monkeypatch.delenv("SUNSPIN_TRACEBACK", raising=False)
     monkeypatch.setattr("sunspin.vehicle.load_vehicle", broken)
+    STOPPED.set()  # as an interruption of an earlier command in this process leaves it
     told = sunspin("check", "philae")
     assert told.code == 1
     assert told.err.count("\n") == 1

@@ -35,8 +35,10 @@ class Stop(KeyboardInterrupt):
 def catch_signals() -> None:
     """Make signals that would end the process raise `Stop`, so that worker processes are ended too.
 
-    A signal that is ignored, as SIGHUP under nohup, stays ignored. Only the main thread can set handlers.
+    A signal that is ignored, as SIGHUP under nohup, stays ignored. Only the main thread can set handlers. An interruption of an
+    earlier command in the same process is forgotten.
     """
+    STOPPED.clear()
     if threading.current_thread() is not threading.main_thread():
         return
     for number in (signal.SIGINT, signal.SIGTERM, getattr(signal, "SIGHUP", signal.SIGTERM)):
