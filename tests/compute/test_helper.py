@@ -120,6 +120,30 @@ def test_a_helper_that_catches_the_request_to_end_ends_after_its_call_or_is_kill
         time.sleep(0.3)
 
 
+class SlowEnd:
+    """An object that takes its time to go; Python cannot raise an error of `__del__`, as of a callback of an import."""
+
+    def __del__(self):
+        time.sleep(1000.0)
+
+
+def end_slowly():
+    """Be asked to end where Python ignores the error of that, and work on."""
+    SlowEnd()
+    time.sleep(1000.0)
+
+
+def test_a_helper_asked_to_end_where_python_ignores_errors_ends_when_asked_again(
+    capfd, no_child_stays
+):
+    with helper_process(2, prepare) as helper:
+        helper.start(end_slowly)
+        time.sleep(0.3)
+        begin = time.monotonic()
+    assert time.monotonic() - begin < module.END_S / 2
+    assert capfd.readouterr().err == ""
+
+
 def sleep_in_pool(seconds):
     """Sleep in a process of a pool."""
     with process_pool(2) as workers:

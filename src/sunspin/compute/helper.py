@@ -102,6 +102,7 @@ def _serve(parents: Connection, own: Connection, prepare: Callable[[], Any]) -> 
     """Compute calls and send value and error (one of them None) of each, until the parent ends."""
     prepare_worker()
     signal.signal(signal.SIGTERM, _end)
+    sys.unraisablehook = _report_unraisable
     parents.close()  # else the pipe would stay open without the parent
     with suppress(Exception):  # a call that needs it will fail too, and say why
         prepare()
@@ -131,6 +132,17 @@ def _end(*_: Any) -> None:
     """Handle the request to end by an error, which ends a pool of this process too; further requests do not disturb that."""
     signal.signal(signal.SIGTERM, signal.SIG_IGN)
     sys.exit()
+
+
+def _report_unraisable(unraisable: Any) -> None:
+    """Report an error that Python cannot raise, as in a callback during an import.
+
+    If it was the error of a request to end, the next request is heeded; they come every `AGAIN_S`.
+    """
+    if isinstance(unraisable.exc_value, SystemExit):
+        signal.signal(signal.SIGTERM, _end)
+    else:
+        sys.__unraisablehook__(unraisable)
 
 
 @contextmanager
