@@ -1,13 +1,15 @@
-"""Attitude and rate of many bodies, each propagated over its own interval: the compiled step of :mod:`sunspin.estimate.carry`.
+"""Attitude and rate of many bodies, each over its own interval: the compiled part of :func:`sunspin.estimate.carry.step`.
 
 The equations are those of :mod:`sunspin.dynamics.gyrostat` for a body without torques, with the momentum K of its wheels given
 (docs/model.md). q is the attitude B_from_N, a quaternion:
 
     omega = A^-1 (H - K)        dH/dt = H x omega        dq/dt = -1/2 (omega, 0) q
 
-K is linear in time from one end of the interval to the other, in body axes. The method is that of Runge and Kutta, of fourth order,
-with steps of fixed length: derivatives are computed as differences of runs, and with other steps in each run they would be those of
-the integration errors. Momenta are in units of mean moment of inertia times rad/s.
+All wheels count as held, so that A is the inertia with locked wheels. Friction enters through K alone: the caller computes how the
+wheels run down (`wheel_speeds` in :mod:`sunspin.estimate.observe`). K is linear in time from one end of the interval to the other,
+in body axes. The method is that of Runge and Kutta, of fourth order, with steps of fixed length: derivatives are computed as
+differences of runs, and with other steps in each run they would be those of the integration errors. Momenta are in units of mean
+moment of inertia times rad/s.
 """
 
 from __future__ import annotations

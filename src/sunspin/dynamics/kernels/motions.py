@@ -145,6 +145,7 @@ def load(lanes, clock, motions, task, l, row):
         elif speeds[i] == 0.0 and dry > 0.0:
             stick(u, w)  # `settle` below releases it if friction cannot hold it
         else:
+            # a wheel at rest gets here only without dry friction, and then `slip` does not use the sign
             slip(u, w, 1.0 if speeds[i] > 0.0 else -1.0)
         for k in range(3):
             y[H + k * L + l] += axial_inertia * speeds[i] * axis[k]
@@ -161,10 +162,11 @@ def load(lanes, clock, motions, task, l, row):
     size = math.sqrt(y[H + l] ** 2 + y[H + L + l] ** 2 + y[H + 2 * L + l] ** 2)
     p[INVERSE_H + l] = 1.0 / size if size > 0.0 else 0.0
     p[ALLOWED + l] = task.allowed
+    # a rough largest rate, for the first step: the present one, plus that of a body with locked wheels that has all of H along x
     rate = math.sqrt(omega[0] ** 2 + omega[1] ** 2 + omega[2] ** 2) + modes[0, 1] * size
     end = task.ends[-1]
     p[DT + l] = math.copysign(min(FIRST_ANGLE / max(rate, 1e-9), max(abs(end), 1e-9)), end)
-    if end > 0.0:
+    if end > 0.0:  # backward in time `batch.run` and `propagate` treat wheels that begin at rest
         settle(lanes, n_wheels, l, modes, task.torques)
     clock.row[l], clock.due[l], clock.steps[l], clock.wheel[l] = row, 0, 0, -1
     clock.left[l], clock.until[l] = abs(end), abs(task.ends[0])

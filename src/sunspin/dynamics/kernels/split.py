@@ -417,7 +417,7 @@ def load(lanes, motions, frames, l, row):
     w, u = lanes.w, lanes.u
     n_wheels, inertia, body = len(motions.axes), motions.inertia[0], np.empty(6)
     omega, speeds = motions.omega_B[row], motions.speeds[row]
-    # `body` in body axes: H = I omega + sum J s u, with the speed s of each wheel along its axis u, then r
+    # `body` in body axes: H = Theta omega + sum J W u, with the speed W of each wheel about its axis u, then r
     for k in range(3):
         body[k] = inertia[k, 0] * omega[0] + inertia[k, 1] * omega[1] + inertia[k, 2] * omega[2]
         body[3 + k] = motions.sun_B[row, k]

@@ -515,12 +515,12 @@ def _entry(sources: int) -> Any:
                     if bound > limits.limit:
                         continue
                     # which place in the eighth fits best, if any?
-                    points = cells.points[eighth]
-                    best, least = best_point(corners, points, frame[0], tables, limits, work)
+                    places = cells.points[eighth]
+                    best, least = best_point(corners, places, frame[0], tables, limits, work)
                     if least == np.inf:
                         continue
                     # does it settle in this eighth?
-                    start[:3], start[3:] = points[best], 0.0
+                    start[:3], start[3:] = places[best], 0.0
                     misfit = settle(corners, start, frame, panels, limits, work)
                     distance = np.abs(start[:3] - middle).max()
                     if misfit > limits.settled or distance >= KEPT_PLACE:

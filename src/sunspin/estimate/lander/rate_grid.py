@@ -1,8 +1,8 @@
 """Attitudes that a body reaches at a few times from rates on a grid.
 
-The equations of motion are integrated (a *run*) on a coarser grid only; attitudes between its points are interpolated. Before, the
-rotation of a sphere with the same angular momentum H is divided out: it rotates about H, which is constant in space, by H t / I.
-The rest of the rotation changes far less with the rate.
+The equations of motion are integrated (a *run*) on a coarser grid only; attitudes between its points are interpolated. Before the
+interpolation the rotation of a sphere with the same angular momentum H is divided out: it rotates about H, which is constant in
+space, by H t / I. What is left of the rotation, the *rest*, changes far less with the rate. It is interpolated.
 """
 
 from __future__ import annotations
@@ -88,7 +88,7 @@ class Reached(NamedTuple):
         that run down drive the body: about zero it would hold 1.8 times as many rates for Philae.
         """
         first, direction = replace(model, after_s=0.0), even_directions(FIRST_RATES)
-        # the direction to the Sun does not matter here
+        # neither the direction to the Sun nor the times of the observations, which still count from the reference, matter here
         rows = first.rows(first.at_centres(fastest * direction, direction))
         reached = first.run(rows, np.array([model.after_s]), TRIAL_ERROR).omega_B[:, 0]
         reached = reached[np.isfinite(reached).all(axis=1)]
