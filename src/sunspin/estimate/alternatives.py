@@ -60,7 +60,7 @@ def another_zero(nominal: Model, s: AlternativeSettings) -> Iterator[Model]:
     for term in nominal.obs.terms:
         if not term.present().any():
             continue
-        if isinstance(term, GyroRates) and term.zero_stated:
+        if isinstance(term, GyroRates) and not term.any_zero:
             log_odds = s.zero_odds
         elif isinstance(term, FieldChange) and not len(term.zero_B):
             log_odds = 0.0

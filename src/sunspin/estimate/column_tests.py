@@ -36,13 +36,13 @@ from sunspin.estimate.equivalence import (
     wheel_changes,
 )
 from sunspin.estimate.observe import middle_sample
-from sunspin.estimate.settings import FIELD_TURN
+from sunspin.estimate.settings import FIELD_TURN, GYRO_ZEROS
 from sunspin.estimate.verdict import DECIDED, in_sigma, misfit
 from sunspin.telemetry.assess import Assessment, assess
 from sunspin.telemetry.signals import signals
 from sunspin.vehicle import Vehicle
 from sunspin.vehicle.response.planes import sphere
-from sunspin.vehicle.sensors import VARIABLES, Attitude
+from sunspin.vehicle.sensors import VARIABLES, Attitude, Gyro
 
 MOST_SQUARE = 30.0
 """Largest square, in sigmas, that counts of a reading of a second sensor, or of a sample of panels: some are spikes."""
@@ -177,6 +177,25 @@ class ContradictingSensor:
 
 
 @dataclass(frozen=True)
+class UnstatedZero:
+    """A `gyro` that fits only with a zero offset `zero_B` (3), rad/s, that the vehicle file does not state."""
+
+    zero_B: np.ndarray
+    gyro: Gyro
+
+    def words(self) -> str:
+        """Return a sentence for the verdict."""
+        shown = ", ".join(f"{value:z.2g}" for value in np.degrees(self.zero_B))
+        # the sigma of each column, in its unit: the largest offset of an axis, with two digits
+        sigma = float(f"{np.abs(self.zero_B).max() / abs(self.gyro.scale_rad_s):.2g}")
+        zero = {"value": self.gyro.zero.tolist(), "sigma": sigma}
+        return (
+            f"the gyro fits only with a zero offset of about ({shown}) deg/s, which the vehicle file does not state, and the other "
+            f"readings do not confirm this: if it may be so, {advice_to_set('gyro', {'zero': zero})}"
+        )
+
+
+@dataclass(frozen=True)
 class Estimators:
     """Functions that estimate a pass under a changed vehicle file, and the computing budget that they share.
 
@@ -297,6 +316,36 @@ def denied_by_the_sun(
     if off.max() < CONTRADICTING_SIGMAS or (off_others < CONTRADICTING_SIGMAS).all(axis=1).any():
         return None
     return ContradictingSensor(SENSOR_NAMES["field_B"])
+
+
+def unconfirmed_zero(
+    observed: Observed, telemetry: xr.Dataset, motion: xr.Dataset, estimators: Estimators
+) -> BetterChanges | UnstatedZero | None:
+    """Return other axes of a gyro, or its zero offset, if only an offset that the file does not state makes it fit; else None.
+
+    An unknown offset may make up for wrong axes of a gyro, or of a unit, over a nearly steady rotation. So the pass is estimated
+    without the gyro. If other axes then fit clearly better they are named. If the pass is decided without the gyro too, along the
+    same motion, the offset is confirmed: None. `telemetry`: of one pass. `motion`: its rate `omega_B` with the gyro, and
+    `omega_cov_B`.
+    """
+    gyro = observed.vehicle.sensors.gyro
+    if gyro is None or gyro.zero_sigma.any():
+        return None
+    read = telemetry["gyro_B"].sel(time=motion["time"].values).values
+    difference, variance = _difference_of_gyro(motion, read, gyro)
+    squares = (difference**2 / variance).sum(axis=1)[np.isfinite(read).all(axis=1)]
+    if misfit(in_sigma(squares, 3)).fits:
+        return None
+    without = estimators.estimate_if_fits(observed.vehicle, telemetry.drop_vars("gyro_B"))
+    if without is not None:
+        axes = _other_axes(observed, telemetry, "gyro_B", without, estimators)
+        if axes is not None:
+            return _axes_or_columns(axes, observed, telemetry, estimators)
+        off = np.abs(without["omega_B"].values - motion["omega_B"].sel(time=without["time"]).values)
+        sigma = np.sqrt(np.einsum("nii->ni", without["omega_cov_B"].values))
+        if bool(without["decided"].values.all()) and (off < CONTRADICTING_SIGMAS * sigma).all():
+            return None
+    return UnstatedZero(_zero_of_gyro(difference, variance)[0], gyro)
 
 
 # ------------------------------------------------------------------------------------------------------ columns of panels, wheels
@@ -774,10 +823,40 @@ def _contradicts(vehicle: Vehicle, telemetry: xr.Dataset, name: str, motion: xr.
 def _sensor_cost(motion: xr.Dataset, read: np.ndarray, name: str, vehicle: Vehicle) -> float:
     """Return minus the log likelihood of a sensor's readings along a motion: half of the squares, each at most `MOST_SQUARE`.
 
-    Arguments are those of :func:`_sensor_squares`.
+    Arguments are those of :func:`_sensor_squares`. The zero offset of a gyro that the file does not state has its price.
     """
-    squares = _sensor_squares(motion, read, name, vehicle)
-    return float(np.minimum(squares, MOST_SQUARE).sum() / 2)
+    squares, price = _sensor_squares(motion, read, name, vehicle), 0.0
+    gyro = vehicle.sensors.gyro
+    if name == "gyro_B" and gyro is not None and not gyro.zero_sigma.any():
+        _, price = _zero_of_gyro(*_difference_of_gyro(motion, read, gyro))
+    return float(np.minimum(squares, MOST_SQUARE).sum() / 2) + price
+
+
+def _difference_of_gyro(
+    motion: xr.Dataset, read: np.ndarray, gyro: Gyro
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the readings of a gyro less the rates of a motion (n, 3), rad/s, and their variance (n, 3) by the errors of both."""
+    rate_variance = np.einsum("nii->ni", motion["omega_cov_B"].values)  # the diagonals
+    zero, scale = gyro.scale_rad_s * gyro.zero_sigma, gyro.scale_sigma / gyro.scale_rad_s
+    sensor_variance = gyro.noise_rad_s**2 + zero**2 + (read * scale) ** 2
+    return read - motion["omega_B"].values, rate_variance + sensor_variance
+
+
+def _zero_of_gyro(difference: np.ndarray, variance: np.ndarray) -> tuple[np.ndarray, float]:
+    """Return a zero offset (3) of a gyro that the file does not state, and its price in log likelihood.
+
+    The offset is the median of the differences (n, 3) between readings and rates, rad/s, which have a `variance` (n, 3); NaN where
+    nothing was read. It is normal with a sigma of any of the sizes :data:`GYRO_ZEROS`, all equally likely. The price is minus the
+    log of the share of the prior that lies within the error of the offset.
+    """
+    was_read = np.isfinite(difference).all(axis=1)
+    if not was_read.any():
+        return np.zeros(3), 0.0
+    zero = np.median(difference[was_read], axis=0)
+    precision = (1 / variance[was_read]).sum(axis=0)
+    sizes = np.array(GYRO_ZEROS)[:, None]
+    log_shares = -((zero / sizes) ** 2 + np.log1p(precision * sizes**2)).sum(axis=1) / 2
+    return zero, float(np.log(len(sizes)) - np.logaddexp.reduce(log_shares))
 
 
 def _sensor_squares(
@@ -786,9 +865,9 @@ def _sensor_squares(
     """Return squared differences, in sigmas, between a sensor's readings and a motion, their components summed.
 
     `motion`: result of `rates` at n samples. `read` (n, 3, or 4 of a quaternion): readings of the variable `name` there, NaN if
-    there are none. A gyro has one square for each reading. Fields and attitudes are compared from one sample to the next of a pass,
-    as their frame in space is not known: one square for each pair. The sigmas contain the errors of the motion. Empty if the
-    vehicle states no error of the sensor.
+    there are none. A gyro has one square for each reading, without its zero offset if the file does not state that. Fields and
+    attitudes are compared from one sample to the next of a pass, as their frame in space is not known: one square for each pair.
+    The sigmas contain the errors of the motion. Empty if the vehicle states no error of the sensor.
     """
     from scipy.spatial.transform import Rotation
 
@@ -796,11 +875,10 @@ def _sensor_squares(
     known = np.asarray(np.isfinite(read).all(axis=1))
     rate_variance = np.einsum("nii->ni", motion["omega_cov_B"].values)  # (n, 3): the diagonals
     if name == "gyro_B" and sensors.gyro is not None:
-        gyro = sensors.gyro
-        zero, scale = gyro.scale_rad_s * gyro.zero_sigma, gyro.scale_sigma / gyro.scale_rad_s
-        sensor_variance = gyro.noise_rad_s**2 + zero**2 + (read * scale) ** 2
-        square = (read - motion["omega_B"].values) ** 2 / (rate_variance + sensor_variance)
-        return square.sum(axis=1)[known]
+        difference, variance = _difference_of_gyro(motion, read, sensors.gyro)
+        if not sensors.gyro.zero_sigma.any():
+            difference = difference - _zero_of_gyro(difference, variance)[0]
+        return (difference**2 / variance).sum(axis=1)[known]
 
     same_pass = motion["pass_of"].values[1:] == motion["pass_of"].values[:-1]
     pairs = same_pass & known[1:] & known[:-1]

@@ -37,11 +37,13 @@ from sunspin.estimate.column_tests import (
     ContradictingSensor,
     Estimators,
     SampleCosts,
+    UnstatedZero,
     changes_of_sensor,
     denied_by_the_sun,
     rival_exchanges,
     rival_words,
     silent_inputs,
+    unconfirmed_zero,
     what_fits_better,
 )
 from sunspin.estimate.equivalence import (
@@ -140,10 +142,12 @@ def check_columns(
         if doubt is None and costs is not None:
             least_gain = 0.0 if reversed_wheels is None else reversed_wheels.gain
             result, doubt = _with_rivals(result, observed, telemetry, costs, estimators, least_gain)
-        # the magnetometer is the only sensor whose wrong axes may fit: its zero offset is mostly unknown
+        # wrong axes of a magnetometer or a gyro may fit, as its zero offset is mostly unknown
         field_unknown = "field_B" in observed.sensors and not observed.in_orbit
         if doubt is None and field_unknown:
             doubt = _field_compared(result, observed, telemetry, estimators)
+        if doubt is None and "gyro_B" in observed.sensors:
+            doubt = _zero_compared(result, observed, telemetry, estimators)
     if doubt is None and contradicted:
         advice = "" if again is not None else f": {TRY_COLUMNS}"
         doubt = ColumnDoubt(SAMPLES_CONTRADICT, SAMPLES_CONTRADICT + advice)
@@ -340,8 +344,26 @@ def _field_compared(
     return _doubt_by(denied_by_the_sun(observed.vehicle, of_pass, motion, estimators))
 
 
-def _doubt_by(cause: BetterChanges | ContradictingSensor | None) -> ColumnDoubt | None:
+def _zero_compared(
+    result: xr.Dataset, observed: Observed, telemetry: xr.Dataset, estimators: Estimators
+) -> ColumnDoubt | None:
+    """Return what else may be wrong if the gyro fits the longest decided pass only with a zero that the file does not state."""
+    decided = np.flatnonzero(result["decided"].values)
+    if not len(decided) or not (observed.panels or observed.sensors - {"gyro_B"}):
+        return None
+    k = _longest(result, decided)
+    of_pass = samples_of(result, telemetry, k)
+    motion = result[["omega_B", "omega_cov_B"]].isel(time=result["pass_of"].values == k)
+    observed_in_pass = what_was_observed(observed.vehicle, of_pass, result.attrs)
+    return _doubt_by(unconfirmed_zero(observed_in_pass, of_pass, motion, estimators))
+
+
+def _doubt_by(
+    cause: BetterChanges | ContradictingSensor | UnstatedZero | None,
+) -> ColumnDoubt | None:
     """Return the doubt of all passes by what one pass shows; None if that has no cause."""
+    if isinstance(cause, UnstatedZero):
+        return ColumnDoubt("the zero offset of the gyro", cause.words(), COLUMNS_UNCHECKED)
     if isinstance(cause, ContradictingSensor):
         # in all passes: of a spinner whose magnetometer was read along other axes two of four passes fitted, far from the truth
         return ColumnDoubt(f"the {cause.sensor} contradicts the other readings", cause.words())

@@ -143,7 +143,8 @@ def residuals_by_sensor(
 
     `obs`, `track`: readings and motions at all samples of a pass. `model`: of the kept samples, to which the motions were fitted;
     `kept` (n): indices of these. At all others the covariance of the motion is added to that of a reading, since the motion was not
-    fitted to it. Errors that the vehicle file does not state (`Unknown.doubted`) are set to zero: a sensor must fit without them.
+    fitted to it. Errors beyond those that the vehicle file states (`Unknown.doubted`) are set to zero: a sensor must fit without
+    them.
     """
     was_fitted = np.isin(np.arange(len(obs)), kept)
     spread = np.where(was_fitted[:, None, None], 0.0, track.covariance)

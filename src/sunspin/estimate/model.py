@@ -53,7 +53,7 @@ class Unknown:
 
     `index`: among those of its `kind`; `limit`: largest distance (sigmas) of a trial from the centre. `shares`: sizes that the
     sigma may have, as factors of `sigma`; equally likely, except for a lander's inertia (:mod:`sunspin.estimate.lander.model`).
-    `doubted`: an error that the vehicle file does not state; the verdict tests a sensor without it.
+    `doubted`: an error beyond what the vehicle file states; the verdict tests a sensor without it.
     """
 
     name: str

@@ -25,7 +25,12 @@ ANCHORS = {
         *("POOR FIT", "NO SOLUTION FITS", "not explained:", "the other readings fit: look"),
         *("as no free body's does", "contradicts the other readings", "of the passes do not fit"),
     ),
-    "check-the-columns": ("CHECK THE COLUMNS", "CHECK THE SIGNS", "columns unchecked"),
+    "check-the-columns": (
+        "CHECK THE COLUMNS",
+        "CHECK THE SIGNS",
+        "columns unchecked",
+        "fits only with a zero offset",
+    ),
     "not-constrained": ("NOT CONSTRAINED", "constrained: ", "not all rate components"),
     "upper-limit": ("speed below ",),
     "incomplete-search": (

@@ -29,8 +29,9 @@ class GyroRates(Term):
     """Gyro readings `rate_B` (n, 3) in rad/s, NaN where not read, with noise `sigma` (rad/s) of each component.
 
     The gyro has a zero offset on each axis and one scale error. `zero_sigma` (3), rad/s: sigma of the offset, 0 for an axis whose
-    offset is known. `scale_sigma`: relative sigma of the scale. `zero_stated`: the vehicle file states `zero_sigma`. Otherwise it
-    may be any of :data:`GYRO_ZEROS`, whose first and largest is `zero_sigma`.
+    offset is known. `scale_sigma`: relative sigma of the scale. `zero_stated`: the vehicle file states a sigma of the offset.
+    `any_zero`: the sigma may be any of :data:`GYRO_ZEROS`, whose first and largest is `zero_sigma`, as none is stated, or in spite
+    of the stated one.
     """
 
     name: ClassVar[str] = "gyro"
@@ -42,6 +43,7 @@ class GyroRates(Term):
     zero_sigma: np.ndarray
     scale_sigma: float
     zero_stated: bool = True
+    any_zero: bool = False
 
     @classmethod
     def read(cls, vehicle: Vehicle, telemetry: xr.Dataset) -> Self | None:
@@ -60,11 +62,11 @@ class GyroRates(Term):
         zero = abs(part.scale_rad_s) * zero_sigmas(part.zero_sigma)
         scale = part.scale_sigma / abs(part.scale_rad_s)
         gyro = cls(rate, part.noise_rad_s, zero, scale)
-        return gyro if np.any(zero) else gyro.with_any_zero()
+        return gyro if np.any(zero) else replace(gyro, zero_stated=False).with_any_zero()
 
     def with_any_zero(self) -> Self:
-        """Return the gyro as if the vehicle file did not state the sigma of its zero offset."""
-        return replace(self, zero_sigma=np.full(3, GYRO_ZEROS[0]), zero_stated=False)
+        """Return the gyro with a zero offset of any of the sizes :data:`GYRO_ZEROS`."""
+        return replace(self, zero_sigma=np.full(3, GYRO_ZEROS[0]), any_zero=True)
 
     def present(self) -> np.ndarray:
         """Return which samples (n) have a rate."""
@@ -87,8 +89,8 @@ class GyroRates(Term):
         if not self.present().any():
             return ()
         # sigmas of the offset that are equally likely, as factors of the largest
-        shares = (1.0,) if self.zero_stated else tuple(zero / GYRO_ZEROS[0] for zero in GYRO_ZEROS)
-        kind, doubted = "gyro_zero", not self.zero_stated
+        shares = tuple(zero / GYRO_ZEROS[0] for zero in GYRO_ZEROS) if self.any_zero else (1.0,)
+        kind, doubted = "gyro_zero", self.any_zero and self.zero_stated
         zeros = [
             Unknown(f"{kind}_{axis}", kind, "rad/s", 0.0, sigma, i, shares=shares, doubted=doubted)
             for i, (axis, sigma) in enumerate(zip("xyz", self.zero_sigma.tolist(), strict=True))
@@ -113,10 +115,10 @@ class GyroRates(Term):
         """Return the gyro without unknowns, as a list of one; the errors of zero offset and scale count as noise instead.
 
         The rms of what these errors together add to a component of the rate, over samples and axes, is added to `sigma` in squares.
-        A zero offset whose sigma the file does not state counts as exactly zero. With its largest possible sigma, 3 deg/s
-        (`GYRO_ZEROS`), a gyro would hardly narrow the rates to be searched.
+        A zero offset of any size counts as exactly zero. With its largest possible sigma, 3 deg/s (`GYRO_ZEROS`), a gyro would
+        hardly narrow the rates to be searched.
         """
-        zero_sigma = self.zero_sigma if self.zero_stated else np.zeros(3)
+        zero_sigma = np.zeros(3) if self.any_zero else self.zero_sigma
         by_u = replace(self, zero_sigma=zero_sigma)._reading_by_u  # (n, 3, m) rad/s
         by_u = by_u[self.present()]  # the others are zero
         # mean over the samples and the three axes of the sum over the unknowns
