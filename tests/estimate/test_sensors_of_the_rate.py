@@ -1,5 +1,7 @@
 """Sensors of the rate: a gyro whose zero is off though the file takes it for known, and a sensor of the rate's size alone."""
 
+import re
+import tomllib
 from dataclasses import replace
 
 import numpy as np
@@ -11,9 +13,10 @@ from sunspin.estimate.model import Model, States
 from sunspin.estimate.rates import rates
 from sunspin.estimate.settings import GYRO_ZEROS, RATES
 from sunspin.estimate.terms.inertial import RateMagnitudes
-from sunspin.vehicle.sensors import RateSize, Sensors
+from sunspin.vehicle.sensors import Gyro, RateSize, Sensors
 from tests.support.passes import errors_in_sigmas, estimate, stated_model
-from tests.support.vehicles import SUN_VECTOR_FILE
+from tests.support.simulate import CUBE, FOUR_SIDES, simulated_pass, uneven_times
+from tests.support.vehicles import SUN_VECTOR_FILE, unit_vector
 from validation.passes import (
     FACES,
     GYRO,
@@ -104,6 +107,83 @@ def test_a_zero_that_is_off_within_its_stated_sigma_is_estimated():
     assert row["decided"] and not row["wrong"]
     value, sigma = estimated_zero(result)
     assert (np.abs(value - off) < 4 * sigma).all() and sigma.max() < 1e-3
+
+
+# ---- the zero offset of an ordinary gyro: the file does not state it, or it drifts --------------------------------------------
+
+
+def with_gyro(
+    seed, zero_deg_s, drift_deg_s=0.0, noise_deg_s=0.05, body=CUBE, axes=None, speed_deg_s=0.6
+):
+    """Return vehicle, telemetry and true motion of a pass with a gyro.
+
+    Its zero offset is that of the three components `zero_deg_s`, and its drift over the pass is along a drawn axis. Its columns are
+    the rates along the body axes, multiplied by `axes` (3, 3). The vehicle file does not state the offset.
+    """
+    rng = np.random.default_rng(seed)
+    t_s = uneven_times(rng, 35, 10.0, 0.1)
+    data, run = simulated_pass(body, np.radians(speed_deg_s) * unit_vector(rng), t_s, rng)
+    noise = np.radians(noise_deg_s)
+    drift = np.radians(drift_deg_s) * np.outer(t_s / t_s[-1] - 0.5, unit_vector(rng))
+    read = run["omega_B"].values + np.radians(zero_deg_s) + drift
+    read = read + noise * rng.normal(size=read.shape)
+    gyro = Gyro(("x", "y", "z"), 1.0, np.zeros(3), noise)
+    vehicle = replace(body, sensors=Sensors(gyro=gyro))
+    return (
+        vehicle,
+        data.assign(gyro_B=(("time", "axis"), read if axes is None else read @ axes.T)),
+        run,
+    )
+
+
+def worst(result, run):
+    """Return the largest error of a component of the rate at any sample, in sigmas."""
+    sigma = np.sqrt(np.einsum("nii->ni", result["omega_cov_B"].values))
+    true = run["omega_B"].sel(time=result["time"]).values
+    return float((np.abs(result["omega_B"].values - true) / sigma).max())
+
+
+@pytest.mark.evidence(
+    "rates", "modelled", "a gyro whose zero offset the vehicle file does not state"
+)
+def test_a_zero_that_the_file_does_not_state_is_estimated_and_no_axes_are_accused():
+    vehicle, data, run = with_gyro(8, [0.3, -0.2, 0.25])
+    result = rates(vehicle, data)
+    assert result["decided"].all() and worst(result, run) < 4.5
+    assert "columns_doubt" not in result.attrs
+    value, sigma = estimated_zero(result)
+    assert (np.abs(value - np.radians([0.3, -0.2, 0.25])) < 4 * sigma).all()
+
+
+def test_other_axes_of_a_gyro_without_a_stated_zero_are_named():
+    exchanged = np.eye(3)[[1, 0, 2]]
+    vehicle, data, _ = with_gyro(9, [0.3, -0.2, 0.25], axes=exchanged, speed_deg_s=3.0)
+    result = rates(vehicle, data)
+    assert not result["decided"].any()
+    assert "the gyro read as (+y, +x, +z) of its columns" in result.attrs["columns_doubt"]
+
+
+def test_a_zero_that_the_others_do_not_confirm_is_named_and_stated_decides_the_pass():
+    """Panels on four sides leave a mirror image, which would fit the gyro along other axes."""
+    vehicle, data, run = with_gyro(10, [0.3, -0.2, 0.25], body=FOUR_SIDES)
+    result = rates(vehicle, data)
+    assert not result["decided"].any()
+    said = re.search(r"set (zero = .*) under \[gyro\]", result.attrs["verdict"])
+    assert said is not None, result.attrs["verdict"]
+    zero = tomllib.loads(said[1])["zero"]
+    gyro = replace(
+        vehicle.sensors.gyro, zero=np.array(zero["value"]), zero_sigma=np.full(3, zero["sigma"])
+    )
+    stated_zero = replace(vehicle, sensors=Sensors(gyro=gyro))
+    result = rates(stated_zero, data)
+    assert result["decided"].all() and worst(result, run) < 4.5
+
+
+def test_a_zero_that_drifts_within_a_pass_is_estimated():
+    vehicle, data, run = with_gyro(11, [0.3, -0.2, 0.25], drift_deg_s=0.2, noise_deg_s=0.02)
+    result = rates(vehicle, data)
+    assert result["decided"].all() and worst(result, run) < 4.5
+    assert result["model"].values.tolist() == ["a drifting zero offset of the gyro"]
 
 
 # ---- the size of the rate alone decides between aliases, and is judged like any sensor --------------------------------------

@@ -119,6 +119,11 @@ TERMS = {
     "gyro": lambda rng: GyroRates(
         without_one(0.02 * rng.normal(size=(N, 3))), 1e-3, np.array([1e-3, 2e-3, 0.0]), 0.01
     ),
+    "drifting gyro": lambda rng: GyroRates(
+        *(without_one(0.02 * rng.normal(size=(N, 3))), 1e-3, np.array([1e-3, 2e-3, 0.0]), 0.01),
+        t_s=np.arange(float(N)),
+        drifts_over=(0.0, N - 1.0),
+    ),
 }
 
 

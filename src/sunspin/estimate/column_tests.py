@@ -36,7 +36,7 @@ from sunspin.estimate.equivalence import (
     wheel_changes,
 )
 from sunspin.estimate.observe import middle_sample
-from sunspin.estimate.settings import FIELD_TURN, GYRO_ZEROS
+from sunspin.estimate.settings import FIELD_TURN, GYRO_DRIFTS, GYRO_ZEROS
 from sunspin.estimate.verdict import DECIDED, in_sigma, misfit
 from sunspin.telemetry.assess import Assessment, assess
 from sunspin.telemetry.signals import signals
@@ -323,29 +323,29 @@ def unconfirmed_zero(
 ) -> BetterChanges | UnstatedZero | None:
     """Return other axes of a gyro, or its zero offset, if only an offset that the file does not state makes it fit; else None.
 
-    An unknown offset may make up for wrong axes of a gyro, or of a unit, over a nearly steady rotation. So the pass is estimated
-    without the gyro. If other axes then fit clearly better they are named. If the pass is decided without the gyro too, along the
-    same motion, the offset is confirmed: None. `telemetry`: of one pass. `motion`: its rate `omega_B` with the gyro, and
-    `omega_cov_B`.
+    An unknown offset may make up for wrong axes of a gyro, or for a wrong unit, over a nearly steady rotation. So the pass is
+    estimated without the gyro. If it is decided then, other axes that fit clearly better are named; if none do, and the motion is
+    the same, the offset is confirmed: None. `telemetry`: of one pass. `motion`: its rate `omega_B` with the gyro, and its
+    covariance `omega_cov_B`.
     """
     gyro = observed.vehicle.sensors.gyro
     if gyro is None or gyro.zero_sigma.any():
         return None
     read = telemetry["gyro_B"].sel(time=motion["time"].values).values
     difference, variance = _difference_of_gyro(motion, read, gyro)
-    squares = (difference**2 / variance).sum(axis=1)[np.isfinite(read).all(axis=1)]
-    if misfit(in_sigma(squares, 3)).fits:
+    if misfit(in_sigma((difference**2 / variance).sum(axis=1), 3)).fits:
         return None
     without = estimators.estimate_if_fits(observed.vehicle, telemetry.drop_vars("gyro_B"))
-    if without is not None:
+    # of several solutions without the gyro the first may be a mirror image, which fits the gyro along mirrored axes
+    if without is not None and bool(without["decided"].values.all()):
         axes = _other_axes(observed, telemetry, "gyro_B", without, estimators)
         if axes is not None:
             return _axes_or_columns(axes, observed, telemetry, estimators)
         off = np.abs(without["omega_B"].values - motion["omega_B"].sel(time=without["time"]).values)
         sigma = np.sqrt(np.einsum("nii->ni", without["omega_cov_B"].values))
-        if bool(without["decided"].values.all()) and (off < CONTRADICTING_SIGMAS * sigma).all():
+        if (off < CONTRADICTING_SIGMAS * sigma).all():
             return None
-    return UnstatedZero(_zero_of_gyro(difference, variance)[0], gyro)
+    return UnstatedZero(np.median(difference, axis=0), gyro)
 
 
 # ------------------------------------------------------------------------------------------------------ columns of panels, wheels
@@ -823,40 +823,62 @@ def _contradicts(vehicle: Vehicle, telemetry: xr.Dataset, name: str, motion: xr.
 def _sensor_cost(motion: xr.Dataset, read: np.ndarray, name: str, vehicle: Vehicle) -> float:
     """Return minus the log likelihood of a sensor's readings along a motion: half of the squares, each at most `MOST_SQUARE`.
 
-    Arguments are those of :func:`_sensor_squares`. The zero offset of a gyro that the file does not state has its price.
+    Arguments are those of :func:`_sensor_squares`. An offset of a gyro that the file does not state adds its price.
     """
-    squares, price = _sensor_squares(motion, read, name, vehicle), 0.0
     gyro = vehicle.sensors.gyro
-    if name == "gyro_B" and gyro is not None and not gyro.zero_sigma.any():
-        _, price = _zero_of_gyro(*_difference_of_gyro(motion, read, gyro))
+    if name == "gyro_B" and gyro is not None:
+        squares, price = _gyro_squares(motion, read, gyro)
+    else:
+        squares, price = _sensor_squares(motion, read, name, vehicle), 0.0
     return float(np.minimum(squares, MOST_SQUARE).sum() / 2) + price
 
 
 def _difference_of_gyro(
     motion: xr.Dataset, read: np.ndarray, gyro: Gyro
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the readings of a gyro less the rates of a motion (n, 3), rad/s, and their variance (n, 3) by the errors of both."""
+    """Return the readings of a gyro less the rates of a motion, rad/s, and their variance by the errors of both, where it was read.
+
+    `read` (n, 3): NaN where nothing was read; the results (m, 3) have the other samples.
+    """
+    known = np.isfinite(read).all(axis=1)
     rate_variance = np.einsum("nii->ni", motion["omega_cov_B"].values)  # the diagonals
     zero, scale = gyro.scale_rad_s * gyro.zero_sigma, gyro.scale_sigma / gyro.scale_rad_s
     sensor_variance = gyro.noise_rad_s**2 + zero**2 + (read * scale) ** 2
-    return read - motion["omega_B"].values, rate_variance + sensor_variance
+    difference = read - motion["omega_B"].values
+    return difference[known], (rate_variance + sensor_variance)[known]
 
 
-def _zero_of_gyro(difference: np.ndarray, variance: np.ndarray) -> tuple[np.ndarray, float]:
-    """Return a zero offset (3) of a gyro that the file does not state, and its price in log likelihood.
+def _gyro_squares(motion: xr.Dataset, read: np.ndarray, gyro: Gyro) -> tuple[np.ndarray, float]:
+    """Return squared differences (m), in sigmas, of a gyro and a motion, and the price in log likelihood of an offset of the gyro.
 
-    The offset is the median of the differences (n, 3) between readings and rates, rad/s, which have a `variance` (n, 3); NaN where
-    nothing was read. It is normal with a sigma of any of the sizes :data:`GYRO_ZEROS`, all equally likely. The price is minus the
-    log of the share of the prior that lies within the error of the offset.
+    Arguments are those of :func:`_difference_of_gyro`. If the file states no zero offset, the median difference counts as one. If
+    that fits better, the offset also drifts evenly, by as much as the medians of the first and the last third of the readings.
     """
-    was_read = np.isfinite(difference).all(axis=1)
-    if not was_read.any():
-        return np.zeros(3), 0.0
-    zero = np.median(difference[was_read], axis=0)
-    precision = (1 / variance[was_read]).sum(axis=0)
-    sizes = np.array(GYRO_ZEROS)[:, None]
-    log_shares = -((zero / sizes) ** 2 + np.log1p(precision * sizes**2)).sum(axis=1) / 2
-    return zero, float(np.log(len(sizes)) - np.logaddexp.reduce(log_shares))
+    difference, variance = _difference_of_gyro(motion, read, gyro)
+    if gyro.zero_sigma.any() or not len(difference):
+        return (difference**2 / variance).sum(axis=1), 0.0
+    zero, precision = np.median(difference, axis=0), (1 / variance).sum(axis=0)
+    price = _price(zero, GYRO_ZEROS, precision)
+    # the drift from the middle to the end; `share`: from -1 at the first reading to 1 at the last, as if they were evenly spaced
+    share, third = np.linspace(-1, 1, len(difference)), -(-len(difference) // 3)
+    change = np.median(difference[-third:], axis=0) - np.median(difference[:third], axis=0)
+    drift = change / max(float(share[-third:].mean() - share[:third].mean()), 1.0)
+    # the mean square of a number that is uniform in [-1, 1] is a third
+    price_of_drift = _price(drift, GYRO_DRIFTS, precision / 3)
+    squares = ((difference - zero) ** 2 / variance).sum(axis=1)
+    drifting = ((difference - zero - share[:, None] * drift) ** 2 / variance).sum(axis=1)
+    gain = (np.minimum(squares, MOST_SQUARE) - np.minimum(drifting, MOST_SQUARE)).sum() / 2
+    return (drifting, price + price_of_drift) if gain > price_of_drift else (squares, price)
+
+
+def _price(error: np.ndarray, sizes: Sequence[float], precision: np.ndarray) -> float:
+    """Return minus the log of the prior's share within the uncertainty of an error (3), rad/s, that is known to a `precision` (3).
+
+    Each component is normal with zero mean; its sigma may be any of the `sizes`, all equally likely.
+    """
+    sigma = np.array(sizes)[:, None]
+    log_shares = -((error / sigma) ** 2 + np.log1p(precision * sigma**2)).sum(axis=1) / 2
+    return float(np.log(len(sizes)) - np.logaddexp.reduce(log_shares))
 
 
 def _sensor_squares(
@@ -875,10 +897,7 @@ def _sensor_squares(
     known = np.asarray(np.isfinite(read).all(axis=1))
     rate_variance = np.einsum("nii->ni", motion["omega_cov_B"].values)  # (n, 3): the diagonals
     if name == "gyro_B" and sensors.gyro is not None:
-        difference, variance = _difference_of_gyro(motion, read, sensors.gyro)
-        if not sensors.gyro.zero_sigma.any():
-            difference = difference - _zero_of_gyro(difference, variance)[0]
-        return (difference**2 / variance).sum(axis=1)[known]
+        return _gyro_squares(motion, read, sensors.gyro)[0]
 
     same_pass = motion["pass_of"].values[1:] == motion["pass_of"].values[:-1]
     pairs = same_pass & known[1:] & known[:-1]

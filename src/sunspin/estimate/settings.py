@@ -221,6 +221,10 @@ class AlternativeSettings:
     zero_odds: float = float(np.log(0.05 / 0.95))
     """Log odds that the zero offset of a gyro differs from the stated one by more than the vehicle file states."""
 
+    drift_odds: float = float(np.log(0.2 / 0.8))
+    """Log odds that the zero offset of a gyro drifts within a pass by more than its noise hides, as that of a small one does while
+    its temperature changes."""
+
     swings_rad: tuple[float, ...] = (0.15, 0.3, 0.6, 1.2)
     """Sigmas of the turn about each axis between two samples by an oscillation of the body; each is a model of its own."""
 
@@ -492,6 +496,9 @@ LARGEST_TURNS = 1.5
 
 GYRO_ZEROS = tuple(np.radians([3.0, 0.95, 0.3, 0.095, 0.03, 0.003]).tolist())
 """rad/s; sigmas of a gyro's zero offset if the vehicle file states none, equally likely; the last one means no offset."""
+
+GYRO_DRIFTS = tuple(np.radians([0.3, 0.1, 0.03]).tolist())
+"""rad/s; sigmas of the change of a gyro's zero offset from the middle of a pass to its end, equally likely, if it drifts."""
 
 FIELD_TURN = 2.2e-3
 """rad/s; a satellite in low orbit sees the Earth's field rotate at about twice its orbital rate of 1.1e-3 rad/s."""

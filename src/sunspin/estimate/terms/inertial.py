@@ -14,7 +14,7 @@ import numpy as np
 import xarray as xr
 
 from sunspin.estimate.model import States, Unknown
-from sunspin.estimate.settings import GYRO_ZEROS
+from sunspin.estimate.settings import GYRO_DRIFTS, GYRO_ZEROS
 from sunspin.estimate.terms.term import Residual, Starts, Term, at_sample_before, gaussian
 from sunspin.solve.rotations import matrix_from_quaternion, rotation_between
 from sunspin.vehicle import Vehicle
@@ -31,12 +31,14 @@ class GyroRates(Term):
     The gyro has a zero offset on each axis and one scale error. `zero_sigma` (3), rad/s: sigma of the offset, 0 for an axis whose
     offset is known. `scale_sigma`: relative sigma of the scale. `zero_stated`: the vehicle file states a sigma of the offset.
     `any_zero`: the sigma may be any of :data:`GYRO_ZEROS`, whose first and largest is `zero_sigma`, as none is stated, or in spite
-    of the stated one.
+    of the stated one. `drifts_over`: first and last time (s) of the pass, if the zero offset drifts evenly, with a change from the
+    middle to the end of any of the sizes :data:`GYRO_DRIFTS`; None if it does not drift. `t_s` (n): times of the readings, needed
+    for that alone.
     """
 
     name: ClassVar[str] = "gyro"
     label: ClassVar[str] = "gyro"
-    per_sample: ClassVar[tuple[str, ...]] = ("rate_B",)
+    per_sample: ClassVar[tuple[str, ...]] = ("rate_B", "t_s")
 
     rate_B: np.ndarray
     sigma: float
@@ -44,6 +46,8 @@ class GyroRates(Term):
     scale_sigma: float
     zero_stated: bool = True
     any_zero: bool = False
+    t_s: np.ndarray | None = None
+    drifts_over: tuple[float, float] | None = None
 
     @classmethod
     def read(cls, vehicle: Vehicle, telemetry: xr.Dataset) -> Self | None:
@@ -54,19 +58,28 @@ class GyroRates(Term):
         if VARIABLES["gyro"] not in telemetry:
             return None
         rate = np.asarray(telemetry[VARIABLES["gyro"]], dtype=np.float64)
+        t_s = np.asarray(telemetry["time"], dtype=np.float64)
         part = vehicle.sensors.gyro
         if part is None:
             # the noise is unknown: with a sigma of 1 rad/s the rates hardly count
-            return cls(rate, sigma=1.0, zero_sigma=np.zeros(3), scale_sigma=0.0)
+            return cls(rate, sigma=1.0, zero_sigma=np.zeros(3), scale_sigma=0.0, t_s=t_s)
         # from sigmas in the unit of the columns to rad/s, and to a relative sigma of the scale
         zero = abs(part.scale_rad_s) * zero_sigmas(part.zero_sigma)
         scale = part.scale_sigma / abs(part.scale_rad_s)
-        gyro = cls(rate, part.noise_rad_s, zero, scale)
+        gyro = cls(rate, part.noise_rad_s, zero, scale, t_s=t_s)
         return gyro if np.any(zero) else replace(gyro, zero_stated=False).with_any_zero()
 
     def with_any_zero(self) -> Self:
         """Return the gyro with a zero offset of any of the sizes :data:`GYRO_ZEROS`."""
         return replace(self, zero_sigma=np.full(3, GYRO_ZEROS[0]), any_zero=True)
+
+    def drifting(self, over_s: tuple[float, float]) -> Self:
+        """Return the gyro with a zero offset that drifts evenly from a first to a last time (s)."""
+        return replace(self, drifts_over=over_s)
+
+    def with_errors_of(self, fitted: Self) -> Self:
+        """Return the gyro with the drift that is an unknown in a fitted model."""
+        return replace(self, drifts_over=fitted.drifts_over)
 
     def present(self) -> np.ndarray:
         """Return which samples (n) have a rate."""
@@ -82,10 +95,15 @@ class GyroRates(Term):
         if self.scale_sigma:
             # in proportion to the rate; the reading is near enough to it
             by_u.append((self.scale_sigma * np.nan_to_num(self.rate_B))[..., None])
+        if self.drifts_over is not None and self.t_s is not None:
+            begin, end = self.drifts_over
+            # from -1 at the first time to 1 at the last
+            drifted = (2 * self.t_s - begin - end) / max(end - begin, 1e-9)
+            by_u.append(GYRO_DRIFTS[0] * drifted[:, None, None] * np.eye(3))
         return was_read * np.concatenate(by_u, axis=-1)
 
     def unknowns(self) -> tuple[Unknown, ...]:
-        """Return the zero offset of each axis and the scale, if they are not known."""
+        """Return the zero offset of each axis and the scale, if they are not known, and the drift of the offset if it drifts."""
         if not self.present().any():
             return ()
         # sigmas of the offset that are equally likely, as factors of the largest
@@ -97,7 +115,14 @@ class GyroRates(Term):
             if sigma
         ]
         scale = Unknown("gyro_scale", "gyro_scale", "1", 0.0, self.scale_sigma)
-        return (*zeros, *([scale] if self.scale_sigma else []))
+        sizes = tuple(drift / GYRO_DRIFTS[0] for drift in GYRO_DRIFTS)
+        drifts = [
+            Unknown(
+                f"gyro_drift_{axis}", "gyro_drift", "rad/s", 0.0, GYRO_DRIFTS[0], i, shares=sizes
+            )
+            for i, axis in enumerate("xyz" if self.drifts_over is not None else "")
+        ]
+        return (*zeros, *([scale] if self.scale_sigma else []), *drifts)
 
     def residuals(self, states: States, u: np.ndarray) -> Iterator[Residual]:
         """Yield the predicted less the read rate (K, n, 3) in sigmas. The prediction includes the errors of zero and scale."""
@@ -124,7 +149,9 @@ class GyroRates(Term):
         # mean over the samples and the three axes of the sum over the unknowns
         rms_error = np.sqrt((by_u**2).sum(axis=(1, 2)).mean() / 3) if by_u.size else 0.0
         sigma = float(np.hypot(self.sigma, rms_error))
-        return [replace(self, sigma=sigma, zero_sigma=np.zeros(3), scale_sigma=0.0)]
+        return [
+            replace(self, sigma=sigma, zero_sigma=np.zeros(3), scale_sigma=0.0, drifts_over=None)
+        ]
 
     def loosened(self, drift_rad: np.ndarray, drift_rad_s: float) -> Self:
         """Return the gyro with larger noise, for a motion whose rate is off by `drift_rad_s`."""
