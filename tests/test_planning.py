@@ -12,7 +12,9 @@ from sunspin.estimate.synthetic import simulate_pass
 from sunspin.output.kinds.plan import plan_figure, plan_summary
 from sunspin.output.template import write_templates
 from sunspin.planning import plan
+from sunspin.telemetry.assess import assess
 from sunspin.telemetry.synthetic import generator
+from sunspin.vehicle.file import parse_vehicle
 from tests.support.simulate import CUBE_WITHOUT_NOISE_STATED as CUBE
 
 SPEED = 0.03
@@ -91,6 +93,28 @@ def test_speeds_of_three_rounds_lie_in_the_three_classes(undecided):
     assert (result["why_not_decided"].values == "several solutions").all()
     again = plan(CUBE, [10.0, 60.0], **options)
     xr.testing.assert_identical(result, again)
+
+
+def test_relative_gains_are_known_in_a_plan_though_one_pass_does_not_show_every_panel(monkeypatch):
+    """Whether they are placeholders is judged by all passes of a file."""
+    panels = "".join(
+        f'[[panel]]\nname = "{name}"\nnormal_B = {normal}\nrelative_gain = 1.0\n'
+        for name, normal in {
+            "+X": [1, 0, 0],
+            "-X": [-1, 0, 0],
+            "+Y": [0, 1, 0],
+            "+Z": [0, 0, 1],
+        }.items()
+    )
+    seen = []
+
+    def rates(vehicle, telemetry, **_):
+        seen.append(assess(vehicle, telemetry).doubtful_gains)
+        return answered(np.zeros(3), 1.0, False)
+
+    monkeypatch.setattr(planning, "rates", rates)
+    plan(parse_vehicle(f'name = "a"\n{panels}', "test"), [10.0], samples=4, max_rate_rad_s=0.01)
+    assert len(seen) == 9 and not any(seen)
 
 
 def test_interrupted_plan_keeps_the_complete_rounds(monkeypatch):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -114,7 +114,8 @@ def plan(
     InputError
         Intervals, samples, passes or bits that make no sense.
     """
-    setup = PassSetup(vehicle, samples, max_rate_rad_s, bits, tuple(orbit), seed)
+    known = _with_gains_known(vehicle)
+    setup = PassSetup(known, samples, max_rate_rad_s, bits, tuple(orbit), seed)
     intervals = _checked(setup, every_s, passes)
     vehicle.require_panels()
     tasks = [(round_, k) for round_ in range(passes) for k in range(len(intervals))]
@@ -134,6 +135,13 @@ def plan(
         if not rows:
             raise
     return _collect(setup, intervals, rows, interrupted=len(rows) < len(tasks))
+
+
+def _with_gains_known(vehicle: Vehicle) -> Vehicle:
+    """Return a vehicle whose relative gains are no placeholders: a file of many passes shows whether they are, and one does not."""
+    gains = {f"panel.{panel.name}.relative_gain" for panel in vehicle.panels}
+    facts = {key: fact for key, fact in vehicle.facts.items() if key not in gains}
+    return replace(vehicle, facts=facts)
 
 
 def _checked(setup: PassSetup, every_s: Sequence[float], passes: int) -> list[float]:

@@ -5,6 +5,7 @@ import signal
 import sys
 import threading
 import time
+from concurrent.futures import wait
 from multiprocessing import active_children
 
 import pytest
@@ -34,6 +35,21 @@ def test_a_process_killed_from_outside_is_reported_in_one_sentence():
         process_pool(2) as pool,
     ):
         pool.submit(os.abort).result()
+
+
+def test_a_task_cancelled_before_its_worker_is_ended_from_outside_prints_no_traceback(monkeypatch):
+    """`timeout` and a terminal that closes end the workers at the same moment as this process."""
+    errors = []
+    monkeypatch.setattr(threading, "excepthook", errors.append)
+    with pytest.raises(KeyboardInterrupt), process_pool(2) as pool:
+        workers = active_children()
+        tasks = [pool.submit(time.sleep, 1000.0) for _ in range(20)]
+        assert tasks[-1].cancel()
+        for worker in workers:
+            worker.kill()
+        wait([tasks[0]])
+        raise KeyboardInterrupt
+    assert not errors
 
 
 def test_processes_are_not_forked_while_other_threads_run():

@@ -15,6 +15,7 @@ from scipy.stats import multivariate_normal
 import sunspin as ss
 from sunspin.cli import cli
 from sunspin.output.history import _whiten, fit_trend
+from sunspin.output.kinds.history import history_summary
 from sunspin.output.report.page import write_report
 from sunspin.vehicle.file import parse_vehicle
 from tests.output.test_results import directions
@@ -135,6 +136,13 @@ def test_the_history_is_summarised_drawn_saved_and_shown_on_a_page(week, history
     stored = xr.load_dataset(out / "history.nc", engine="h5netcdf")
     assert all(v.attrs.get("units") and v.attrs.get("long_name") for v in stored.variables.values())
     assert "a spinner" in write_report(out).read_text("utf-8")
+
+
+def test_the_line_on_passes_that_are_not_listed_is_right_with_a_folder_for_the_table_too(week):
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("sunspin.output.kinds.history.MOST_LINES", 5)
+        notes = history_summary(ss.history([week])).notes
+    assert "  and 3 more passes: --out writes the whole table" in notes
 
 
 def test_a_trend_that_rests_on_a_gap_of_most_days_is_named(result, week, history, tmp_path):

@@ -137,11 +137,22 @@ def databases(rows: pd.DataFrame) -> dict[str, str]:
         "yamcs lines": "\n".join(map(json.dumps, parameters)),
         "yamcs page": json.dumps({"parameter": parameters}),
         "line protocol": "\n".join(["# DML", *lines]),
+        "victoria lines": "\n".join(
+            json.dumps(
+                {
+                    "metric": {"__name__": name, "job": "eps"},
+                    "values": values,
+                    "timestamps": [round(1000 * time) for time in times],
+                }
+            )
+            for name, (times, values) in groups.items()
+        ),
     }
 
 
 FORMS = ["prometheus", "yamcs lines", "yamcs page", "line protocol", "graphite", "influx 1"]
 FORMS += ["opentsdb", "opentsdb arrays", "opentsdb values", "grafana frames", "grafana frame"]
+FORMS += ["victoria lines"]
 
 
 @pytest.mark.parametrize("form", FORMS)
@@ -247,6 +258,16 @@ def test_labels_in_a_column_tell_series_of_one_metric_apart(cell, reads_alike):
     rows = rows.assign(labels=rows["Series"].map(cell.format), Series="i")
     columns = {face: f"{name}.i" for face, name in VEHICLE.telemetry.columns.items()}
     reads_alike(rows.rename(columns={"Series": "metric"}).to_csv(index=False), columns=columns)
+
+
+def test_labels_of_json_lines_tell_series_of_one_metric_apart(reads_alike):
+    rows = by_metric(template_rows()).rename(columns={"Value": "value"})
+    lines = [
+        json.dumps(row | {"metric": "i", "labels": {"job": "eps", "face": row.pop("Series")}})
+        for row in rows.to_dict("records")
+    ]
+    columns = {face: f"{name}.i" for face, name in VEHICLE.telemetry.columns.items()}
+    reads_alike("\n".join(lines), columns=columns)
 
 
 def test_two_sources_of_one_value_are_refused_with_the_column_that_tells_them_apart(read):

@@ -134,6 +134,15 @@ def test_copies_of_a_frame_are_left_out_in_many_short_passes():
     assert np.array_equal(looked_at(t, value).repeats.frozen, copies)
 
 
+@pytest.mark.parametrize("late_s", [1.0, 25.0], ids=["next", "with another between"])
+def test_one_copy_in_each_of_many_short_passes_is_left_out(late_s):
+    """A second ground station adds a frame now and then: one pass does not show it, all together do."""
+    t, value = tumbling(160, rate=1.5, step=COUNT)
+    t = t + 5000.0 * (np.arange(160) // 8)
+    t, value, copies = with_copies(t, value, late_s, 8)
+    assert np.array_equal(looked_at(t, value).repeats.frozen, copies)
+
+
 @pytest.mark.parametrize("times", [2, 5])
 def test_held_samples_are_left_out_and_their_number_is_reported(times):
     t, value = tumbling(40, apart=10.0, step=COUNT)

@@ -630,12 +630,45 @@ def test_init_from_a_file_names_other_sensors_in_comments_that_can_be_opened():
     np.testing.assert_allclose(data["field_B"].values[0], [20000, -5000, 30000])
 
 
+@pytest.mark.parametrize(
+    ("gyro", "field", "sizes"),
+    [
+        ("adcs.gyro_{}_dps", "adcs.mag_{}_uT", ("0.0174533", "1e-06")),
+        ("gyro_{}_deg_s", "/SAT/adcs/mag_{}_nT", ("0.0174533", "1e-09")),
+        ("rate_{}_rad_s", "mag_{}_T", ("1", "1")),
+        ("gyro_{} mdps", "Mag {} (mGauss)", ("1.74533e-05", "1e-07")),
+    ],
+)
+def test_the_unit_in_the_names_of_a_sensors_columns_is_its_scale(gyro, field, sizes):
+    """`uT` is microtesla and no word `u` before tesla."""
+    names = [*(gyro.format(a) for a in "xyz"), *(field.format(a) for a in "xyz")]
+    rows = [f"2026-01-01T00:00:{10 + k},{0.4 - k},{k},1,2,3,20,-5,30" for k in range(9)]
+    text = Begun("\n".join([",".join(["time", "i_xp_A", "i_xm_A", *names]), *rows])).text
+    found = re.findall(r"^# (?:scale_rad_s = (\S+) +# rate|scale_T = (\S+))", text, re.MULTILINE)
+    assert ("".join(found[0]), "".join(found[1])) == sizes
+
+
 def test_init_names_columns_that_differ_from_those_of_panels_only_in_the_face():
     rows = ["time,i_xp_ma,i_xm_ma,i_wing1_ma,i_wing2_ma,u_wing1_mv,i_xp_mv"]
     rows += [f"{SECONDS[k]},400,0,{300 + k},{20 + k},8000,3300" for k in range(10)]
     text = Begun("\n".join(rows)).text
     (line,) = [line for line in text.splitlines() if line.startswith("# perhaps panels")]
     assert line.endswith('each needs a [[panel]]: "i_wing1_ma", "i_wing2_ma"')
+
+
+@pytest.mark.parametrize(
+    ("panel", "wing", "other"),
+    [
+        ("Panel {} Current", "Wing 1 Current", "Wing 1 Temperature"),
+        ("Strom {} [mA]", "Strom Flügel 1 [mA]", "Spannung Flügel 1 [mV]"),
+    ],
+)
+def test_init_names_the_wings_of_a_file_with_other_words_than_panels(panel, wing, other):
+    rows = [f"time,{panel.format('+X')},{panel.format('-X')},{wing},{other}"]
+    rows += [f"{SECONDS[k]},400,0,{300 + k},8000" for k in range(10)]
+    lines = Begun("\n".join(rows)).text.splitlines()
+    (line,) = [line for line in lines if line.startswith("# perhaps panels")]
+    assert line.endswith(f'each needs a [[panel]]: "{wing}"')
 
 
 @pytest.mark.parametrize(

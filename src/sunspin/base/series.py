@@ -39,8 +39,16 @@ def rows_of_series(document: Any) -> list[dict[str, Any]] | None:
     `id`, `engValue` (else `rawValue`) and `generationTime`, one or a list, alone or under `parameter`. Graphite: objects with
     `target` and `datapoints`, which are pairs of value and time. InfluxDB 1: several series with `columns`, `values`, `tags`.
     OpenTSDB: objects with `metric`, `tags`, and `dps` or `timestamp` and `value`. Grafana: data frames with `schema` and `data`,
-    in a list or under `results`.
+    in a list or under `results`. VictoriaMetrics: a list of the lines of its export (:func:`is_exported_metric`).
     """
+    if isinstance(document, list) and document and all(map(is_exported_metric, document)):
+        pairs = [zip(item["timestamps"], item["values"], strict=True) for item in document]
+        return _rows_of_prometheus(
+            [
+                {"metric": item["metric"], "values": list(map(list, pair))}
+                for item, pair in zip(document, pairs, strict=True)
+            ]
+        )
     data = document.get("data") if isinstance(document, dict) else None
     if isinstance(data, dict) and data.get("resultType") in ("matrix", "vector"):
         return _rows_of_prometheus(data.get("result"))
@@ -71,6 +79,14 @@ def rows_of_series(document: Any) -> list[dict[str, Any]] | None:
         name = item["id"]["name"]
         rows.append({"time": time, "series": name, "value": numbers[0] if numbers else None})
     return rows
+
+
+def is_exported_metric(item: Any) -> bool:
+    """Return whether a JSON value is a line of the export of VictoriaMetrics, with lists of values and of times of one series."""
+    if not isinstance(item, dict) or not isinstance(item.get("metric"), dict):
+        return False
+    values, times = item.get("values"), item.get("timestamps")
+    return isinstance(values, list) and isinstance(times, list) and len(values) == len(times)
 
 
 def _is_parameter(item: Any, with_value: bool = True) -> bool:

@@ -24,7 +24,12 @@ import numpy as np
 import pandas as pd
 
 from sunspin.base.errors import TelemetryError
-from sunspin.base.series import is_line_protocol, read_line_protocol, rows_of_series
+from sunspin.base.series import (
+    is_exported_metric,
+    is_line_protocol,
+    read_line_protocol,
+    rows_of_series,
+)
 from sunspin.base.untrusted import decode_text, decode_western, plain_number, read_bytes
 
 if TYPE_CHECKING:
@@ -365,27 +370,21 @@ def _read_json(text: str, where: str) -> tuple[pd.DataFrame, str]:
     # JSON lines if the first line is a complete object, else one document
     if not (first_line[0] == "{" and first_line[-1] == "}"):
         documents = [(1, text)]
+    items = [(number, _parse_json(document, number, where)) for number, document in documents]
+    if all(is_exported_metric(item) for _, item in items):
+        # a series in each line: their labels are compared
+        items = [(1, [item for _, item in items])]
     rows: list[dict[str, str]] = []
     numbers: list[int] = []
     counted = "line"
-    for line_number, document in documents:
-        try:
-            item = json.loads(document, object_pairs_hook=_object_without_repeats)
-        # ValueError also for a repeated key and for a number of thousands of digits
-        except (ValueError, RecursionError) as error:
-            why = getattr(error, "msg", str(error))[:100]
-            why = "it is nested too deeply" if isinstance(error, RecursionError) else why
-            # a syntax error names its line within the document
-            error_line = line_number + getattr(error, "lineno", 1) - 1
-            what, do = f"this is not valid JSON ({why})", "write one object a line"
-            raise TelemetryError(what, do=do, where=f"{where}, line {error_line}") from None
+    for line_number, item in items:
         objects, first_number = [item], line_number
         page = series = rows_of_series(item)
         if series is None and isinstance(item, list):
             page = item
         elif series is None and isinstance(item, dict):
             # of several lines each is a row, with any lists in it
-            page = item.get("results") if len(documents) > 1 else _rows_of_page(item)
+            page = item.get("results") if len(items) > 1 else _rows_of_page(item)
         if isinstance(page, list):
             objects, first_number, counted = page, len(rows) + 1, "row"
         for number, row in enumerate(objects, first_number):
@@ -399,6 +398,20 @@ def _read_json(text: str, where: str) -> tuple[pd.DataFrame, str]:
     _require_size(len(rows), len(names), where)
     cells = [[row.get(name, "") for name in names] for row in rows]
     return pd.DataFrame(cells, numbers, list(names), dtype=object), counted
+
+
+def _parse_json(document: str, line_number: int, where: str) -> Any:
+    """Return the value of a JSON text that begins in line `line_number` of the file; raise `TelemetryError` if it is not valid."""
+    try:
+        return json.loads(document, object_pairs_hook=_object_without_repeats)
+    # ValueError also for a repeated key and for a number of thousands of digits
+    except (ValueError, RecursionError) as error:
+        why = getattr(error, "msg", str(error))[:100]
+        why = "it is nested too deeply" if isinstance(error, RecursionError) else why
+        # a syntax error names its line within the document
+        error_line = line_number + getattr(error, "lineno", 1) - 1
+        what, do = f"this is not valid JSON ({why})", "write one object a line"
+        raise TelemetryError(what, do=do, where=f"{where}, line {error_line}") from None
 
 
 def _rows_of_page(page: dict[str, Any], depth: int = 0) -> list[Any] | None:

@@ -14,9 +14,15 @@ import signal
 import sys
 import threading
 import warnings
-from collections.abc import Generator
-from concurrent.futures import BrokenExecutor, Executor, ProcessPoolExecutor
+from collections.abc import Callable, Generator
+from concurrent.futures import (
+    BrokenExecutor,
+    Executor,
+    InvalidStateError,
+    ProcessPoolExecutor,
+)
 from contextlib import contextmanager
+from functools import partial
 from multiprocessing import active_children, get_context, parent_process
 from typing import Any
 
@@ -65,6 +71,8 @@ def process_pool(workers: int) -> Generator[Executor | None]:
     children_before = set(active_children())
     method = "fork" if may_fork() else "spawn"
     pool = ProcessPoolExecutor(workers, get_context(method), prepare_worker)
+    print_error = threading.excepthook
+    threading.excepthook = partial(_print_unless_cancelled, print_error)
     try:
         # the idle threads of the linear algebra library do no harm: a copy starts its own
         with warnings.catch_warnings():
@@ -79,6 +87,17 @@ def process_pool(workers: int) -> Generator[Executor | None]:
         raise EndedError from None
     finally:
         pool.shutdown(cancel_futures=True)
+        threading.excepthook = print_error
+
+
+def _print_unless_cancelled(print_error: Callable[[Any], Any], error: Any) -> None:
+    """Print the error of a thread with `print_error`, but not that a task was cancelled before its worker ended.
+
+    A signal to the whole process group ends the workers too. The thread of the pool then reports this to every task, and before
+    Python 3.13 it fails with a traceback at one that was cancelled meanwhile.
+    """
+    if not issubclass(error.exc_type, InvalidStateError):
+        print_error(error)
 
 
 def prepare_worker() -> None:

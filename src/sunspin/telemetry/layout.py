@@ -34,6 +34,9 @@ PART_NAMES = ("parameter name", "parameter_name", "metric name", "metric_name", 
 LABEL_NAMES = ("labels", "tags")
 """Names of such columns with several labels in a cell, such as `{panel="xp",job="eps"}` or `panel=xp,host=obc`."""
 
+LABEL_PREFIXES = tuple(f"{name}." for name in LABEL_NAMES)
+"""Beginnings of the names of columns with one label each, from objects in JSON lines."""
+
 LABEL = re.compile(r'"?(?P<key>[\w.-]+)"?\s*[=:]\s*(?:"(?P<quoted>[^"]*)"|(?P<bare>[^",{}]+))')
 """A label in a cell."""
 
@@ -52,7 +55,7 @@ def pivot_series(table: TextTable, time_column: str, names: set[str]) -> Samples
     name of `VALUE_NAMES`, else of `ENGINEERING_NAMES`, else in the only one next to the time and a name of the series. The name
     is in the column whose cells are most often one of `names`, else in one called as in `SERIES_NAMES` or `PART_NAMES`. If it
     has two values at a time, the column of `PART_NAMES`, or what differs in that of `LABEL_NAMES`, is put before it, as in
-    "xp.current_mA". Other columns are dropped.
+    "xp.current_mA". So is what differs in columns of one label each (`LABEL_PREFIXES`). Other columns are dropped.
     A cell is empty if its series has no value at that time.
 
     `names`: the columns that the vehicle file reads, empty if there is none. The table is returned unchanged if its header has one
@@ -83,15 +86,19 @@ def pivot_series(table: TextTable, time_column: str, names: set[str]) -> Samples
         if not usual and not parts:
             return Samples(table)
         series_column = (usual or parts)[0]
-        by_part = table.cells[[time_column, series_column, *parts[:1]]].drop_duplicates()
-        if usual and parts and by_part.duplicated([time_column, series_column]).any():
+        # labels of nested JSON have columns of their own, such as labels.face
+        nested = [name for name in others if small[name].startswith(LABEL_PREFIXES)]
+        columns = parts[:1] or nested
+        by_part = table.cells[[time_column, series_column, *columns]].drop_duplicates()
+        if usual and columns and by_part.duplicated([time_column, series_column]).any():
             # such as panel xp and metric current_mA
             names_of_rows = table.cells[series_column].str.strip()
-            joined = table.cells[parts[0]].str.strip() + "." + names_of_rows
-            if small[parts[0]] in LABEL_NAMES:
+            joined = table.cells[columns[0]].str.strip() + "." + names_of_rows
+            if small[columns[0]] in LABEL_NAMES or not parts:
+                cells_of_rows = table.cells[columns].to_dict("records")
                 labels = [
-                    {**_labels_of(cell), "": name}
-                    for cell, name in zip(table.cells[parts[0]], names_of_rows, strict=True)
+                    {**(row if not parts else _labels_of(row[columns[0]])), "": name}
+                    for row, name in zip(cells_of_rows, names_of_rows, strict=True)
                 ]
                 joined = name_series(labels, "")
             table = table._replace(cells=table.cells.assign(**{series_column: joined}))

@@ -215,6 +215,7 @@ def find_repeated_rows(
     copied = np.zeros(len(t), dtype=bool)
     possible_copies = np.unique(pairs.later[pairs.equal])
     fresh = ~equals_previous & ~np.isin(np.arange(len(t)), possible_copies)
+    counts = []
     # `group` (n): rows that are judged together
     for group, chance in _chances(t, rows, stretch, fresh, recurring):
         in_group = group[pairs.later]
@@ -222,11 +223,19 @@ def find_repeated_rows(
         expected = chance.at(t[later] - t[earlier]).sum()
         copies = possible_copies[group[possible_copies]]
         copied[copies] = _exceeds_chance(expected, len(copies))
+        counts.append(Count(expected, len(later), len(copies), copies))
+    copied[_beyond_chance_together(counts)] = True
     # 2. Runs of equal neighbours
-    repeats, judged = copied.copy(), np.zeros(len(t), dtype=bool)
+    repeats, judged, counts = copied.copy(), np.zeros(len(t), dtype=bool), []
     for group, chance in _chances(t, rows, stretch, ~equals_previous & ~copied, recurring):
         repeats |= _runs_beyond_chance(t, equals_previous & group, adjacent & group, chance)
         judged |= group
+        neighbours = np.flatnonzero(adjacent & group)
+        expected = chance.at(t[neighbours] - t[neighbours - 1]).sum()
+        equal = equals_previous & group
+        n_runs = int((equal[1:] & ~equal[:-1]).sum())  # the first row equals none
+        counts.append(Count(expected, len(neighbours), n_runs, np.flatnonzero(equal)))
+    repeats[_beyond_chance_together(counts)] = True
     # 3. Stretches without enough distinct rows for a probability, in which each row occurs at least twice on average
     for number in np.unique(stretch[equals_previous & ~judged]):
         in_stretch = stretch == number
@@ -419,6 +428,28 @@ def _exceeds_chance(expected: float, count: int) -> bool:
         and expected <= MOST_RIGHT * count
         and bool(pdtrc(count - 1, SAFETY * expected) < BY_CHANCE)
     )
+
+
+class Count(NamedTuple):
+    """Repeats in one group of rows: how many chance makes on average among how many pairs, how many there are, and their rows."""
+
+    expected: float
+    pairs: int
+    number: int
+    rows: np.ndarray
+
+
+def _beyond_chance_together(counts: list[Count]) -> np.ndarray:
+    """Return the rows (m) that repeat others, of all groups together, if they are too many for chance; else none.
+
+    A second ground station adds a copy or two to each pass: too few to judge one pass. Only groups count in which chance makes
+    few repeats, whether there are any or not. So a slow stretch does not hide the copies of the others, and loses no row itself.
+    """
+    rare = [count for count in counts if count.expected <= MOST_RIGHT * count.pairs]
+    expected, number = sum(count.expected for count in rare), sum(count.number for count in rare)
+    if not rare or not _exceeds_chance(expected, number):
+        return np.zeros(0, dtype=int)
+    return np.concatenate([count.rows for count in rare])
 
 
 def _runs_beyond_chance(

@@ -10,6 +10,7 @@ from __future__ import annotations
 import json
 import re
 from collections import defaultdict
+from itertools import pairwise
 from pathlib import Path
 from typing import NamedTuple
 
@@ -172,6 +173,9 @@ STRING_WORDS = ("string", "strings", "str")
 STRING_PAIRS = ("a", "b", "c", "d", "left", "right", "upper", "lower", "inner", "outer")
 """Words that tell the strings of cells of one panel apart; `STRING_PAIRS` only if each column has one."""
 
+WING_WORDS = ("wing", "wings", "flügel", "fluegel", "deployable", "deployed")
+"""Words in the name of a column of a deployed panel, which is on no face."""
+
 RECEIVED_WORDS = ("received", "receive", "recv", "reception", "rx", "ert", "ground", "downlink")
 """Words in the name of a column of times of reception, which are later than those of the samples."""
 
@@ -195,9 +199,18 @@ SENSOR_UNITS = {
         "dps": 1 / DEG_PER_RAD,
         "deg/s": 1 / DEG_PER_RAD,
         "°/s": 1 / DEG_PER_RAD,
+        "mdps": 1e-3 / DEG_PER_RAD,
         "rad/s": 1.0,
     },
-    "magnetometer": {"nt": 1e-9, "ut": 1e-6, "mg": 1e-7, "t": 1.0},
+    "magnetometer": {
+        "nt": 1e-9,
+        "ut": 1e-6,
+        "mt": 1e-3,
+        "t": 1.0,
+        "mg": 1e-7,
+        "mgauss": 1e-7,
+        "gauss": 1e-4,
+    },
 }
 """Table of the vehicle file -> unit in small letters -> its size in rad/s or T."""
 
@@ -275,11 +288,20 @@ class _Group(NamedTuple):
     unit: str
 
     def like_named(self, column: str) -> bool:
-        """Return whether a column is named as those of the group, but with another word for the face."""
+        """Return whether a column is named as those of the group, but with another word for the face.
+
+        The name of a wing may have other words too, if it says that the quantity is the same: Panel +X current, Wing 1 current.
+        """
         name, unit = _split_unit(column)
+        words = _words(name)
         before, after = map(re.escape, self.template.split("#"))
-        has_word = re.fullmatch(rf"{before}\w+{after}", _words(name)) is not None
-        return has_word and unit == self.unit and bool(before.strip() or after.strip())
+        has_word = re.fullmatch(rf"{before}\w+{after}", words) is not None
+        if has_word and unit == self.unit and bool(before.strip() or after.strip()):
+            return True
+        quantity = _words_of(self.template) & {*WORDS.get(self.quantity, ())}
+        is_wing = bool({*re.findall(r"[^\W\d_]+", words)} & {*WING_WORDS})
+        says_quantity = quantity <= _words_of(words) and bool(quantity or unit in UNITS)
+        return is_wing and says_quantity and unit == self.unit
 
     def in_another_unit(self, column: str) -> bool:
         """Return whether a column is named as those of the group, with a face that these lack, and in another unit."""
@@ -456,7 +478,10 @@ def _sensor_columns(table: TextTable, used: set[str]) -> dict[str, AxisColumns]:
         for sensor, known in SENSOR_WORDS.items():
             if sensor not in sensors and words & set(known):
                 sizes = SENSOR_UNITS[sensor]
-                by_word = (sizes[word] for word in re.split(r"[_ #]+", template) if word in sizes)
+                # not the words of the template, in which a capital letter begins a word: uT would be T
+                parts = re.split(r"[_ .,-]+", _plain_unit(columns["x"]))
+                pairs = [f"{first}/{last}" for first, last in pairwise(parts)]  # such as deg_s
+                by_word = (sizes[word] for word in [*parts, *pairs] if word in sizes)
                 size = sizes.get(unit, next(by_word, None))
                 sensors[sensor] = AxisColumns((columns["x"], columns["y"], columns["z"]), size)
     return sensors

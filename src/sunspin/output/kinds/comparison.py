@@ -63,7 +63,7 @@ def comparison_summary(data: Any) -> Summary:
         change = f"{row.row}: {row.a}, now {row.b}{unit}{other_changes}"
         lines.append(f"  {f'{size:7.2g} {units}':22}{change}")
     rest = len(changed) - MOST_LINES
-    notes = [f"  and {rest} more: give --out for the whole table"] if rest > 0 else []
+    notes = [f"  and {rest} more: --out writes the whole table"] if rest > 0 else []
     return Summary(numbers, lines, notes)
 
 

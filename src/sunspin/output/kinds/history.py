@@ -61,7 +61,7 @@ def history_summary(data: Any) -> Summary:
         verdict = "" if decided[k] else f"  not decided: {data['why_not_decided'].values[k]}"
         lines.append(f"  {data['utc_at'].values[k][:16]}  {size}  about {about}{verdict}")
     rest = decided.size - MOST_LINES
-    notes = [f"  and {rest} more passes: give --out for the whole table"] if rest > 0 else []
+    notes = [f"  and {rest} more passes: --out writes the whole table"] if rest > 0 else []
     if not np.isfinite(data["momentum"]).any():
         notes.append("momentum: not determined (no inertia in the vehicle file, or a wheel)")
     return Summary(numbers, lines, notes)

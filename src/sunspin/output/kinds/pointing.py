@@ -69,7 +69,7 @@ def pointing_summary(data: Any) -> Summary:
     }
     printed = 1 + MOST_LINES * (1 + len(axes))
     notes = (
-        [f"  and {len(lines) - printed} more lines: give --out for the table"]
+        [f"  and {len(lines) - printed} more lines: --out writes the table"]
         if len(lines) > printed
         else []
     )
