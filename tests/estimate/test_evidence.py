@@ -9,7 +9,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 from scipy.special import logsumexp
 
-from sunspin.estimate.between import link_passes
+from sunspin.estimate.between import MomentumSizes, link_passes
 from sunspin.estimate.budget import Budget
 from sunspin.estimate.chain import costs, fit, log_left_out, propagate
 from sunspin.estimate.evidence import PassFits, ladder, share_noise, sum_over_shares
@@ -161,6 +161,8 @@ def test_a_body_of_uncertain_inertia_that_wants_strong_torques_is_searched_under
 
 
 TIMES = np.arange(6) * 5400.0
+UNKNOWN = [None] * 6
+"""Sizes of the momentum, of a body with wheels for example."""
 
 
 @dataclass(frozen=True)
@@ -184,7 +186,7 @@ def passes(rng, wander, misled=2):
 
 @pytest.mark.parametrize("misled", [0, 2])
 def test_a_wrong_alias_is_outweighed_by_neighbouring_passes(misled):
-    linked, walk = link_passes(passes(np.random.default_rng(0), 1e-3, misled), TIMES, 0.1)
+    linked, walk = link_passes(passes(np.random.default_rng(0), 1e-3, misled), TIMES, 0.1, UNKNOWN)
     assert linked[misled].probability[0] > 0.95 and 1e-6 <= walk < 1e-4
     assert all(one.probability.sum() == pytest.approx(1.0) for one in linked)
 
@@ -195,14 +197,29 @@ def test_a_pass_that_lacks_the_true_motion_does_not_decide_the_others():
     sigma = np.array([[1e-4, 1e-4, 1e-4], [3e-4, 9e-3, 9e-3], [3e-4, 9e-3, 9e-3]])
     lost = Solved(np.array([0.6, 0.4]), aliases, sigma[1:])
     whole = Solved(np.array([0.8, 0.1, 0.1]), np.vstack([truth, aliases]), sigma)
-    linked, _ = link_passes([lost, whole, whole, whole], TIMES[:4], 1.2)
+    linked, _ = link_passes([lost, whole, whole, whole], TIMES[:4], 1.2, UNKNOWN)
     assert all(one.probability[0] > 0.9 for one in linked[1:])
     assert linked[0].probability.max() < 0.9
 
 
+def test_a_rate_about_another_axis_is_linked_by_the_size_of_the_momentum():
+    """The body rotates about y, about -y, and about -y faster or about y: the size alone says which."""
+    sigma, wide = np.full((1, 3), 1e-3), np.full((2, 3), 1e-3)
+    solved = [
+        Solved(np.ones(1), np.array([[0.0, 0.04, 0.0]]), sigma),
+        Solved(np.ones(1), np.array([[0.0, -0.04, 0.0]]), sigma),
+        Solved(np.array([0.4, 0.6]), np.array([[0.0, 0.04, 0.0], [0.0, -0.06, 0.0]]), wide),
+    ]
+    sizes = [np.linalg.norm(one.mean, axis=1) for one in solved]
+    known = [MomentumSizes(size, np.full(len(size), 2e-3)) for size in sizes]
+    by_size, _ = link_passes(solved, TIMES[:3], 0.1, known)
+    by_axis, _ = link_passes(solved, TIMES[:3], 0.1, UNKNOWN[:3])
+    assert by_size[2].probability[0] > 0.9 > 0.5 > by_axis[2].probability[0]
+
+
 def test_passes_with_large_rate_changes_are_not_linked():
     alone = passes(np.random.default_rng(1), 0.3)
-    linked, walk = link_passes(alone, TIMES, 0.1)
+    linked, walk = link_passes(alone, TIMES, 0.1, UNKNOWN)
     assert np.isnan(walk) or walk > 3e-4
     if np.isnan(walk):
         np.testing.assert_array_equal(linked[2].probability, alone[2].probability)

@@ -1,19 +1,25 @@
 """Probabilities of solutions by those of neighbouring passes: a rate changes little between passes, which excludes aliases.
 
 This is a hidden Markov chain over the passes, whose states are their solutions. The probability of a transition is a Student
-density of the change of the mean rate. Its width comes from the sigmas of both solutions and from a random walk between the passes.
-Sums over all sequences of solutions (forward-backward algorithm) give the probability of each solution. The strength of the walk
-is the one of a list with the largest evidence. If rates change wildly, none is better than independent passes, and nothing changes.
+density of the change of the mean rate, or of the size of the angular momentum alone. A body that is no sphere keeps the size
+between two passes, but may rotate about another axis of the body. Its width comes from the sigmas of both solutions and from a
+random walk between the passes. Sums over all sequences of solutions (forward-backward algorithm) give the probability of each
+solution. The strength of the walk is the one of a list with the largest evidence. If rates change wildly, none is better than
+independent passes, and nothing changes.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 from scipy.special import gammaln, logsumexp
 
+from sunspin.estimate.chain import RATE
+from sunspin.estimate.model import Body
+from sunspin.estimate.observe import middle_sample
 from sunspin.estimate.solutions import Solutions
 
 WALKS = np.geomspace(1e-6, 1e-3, 13)
@@ -27,13 +33,53 @@ BREAK = 0.01
 such pass decided for all: of a spinner at 0.38 deg/s, whose other passes favoured the truth, all were 36 deg/s off."""
 
 
+KEEPS_AXIS = 0.5
+"""Probability, without a break, that the mean rate changes little; else the size of the momentum alone does. A body without an
+inertia rotated about y in one pass and about -y in the next: an alias near -y, of 1.5 times the rate, was decided."""
+
+SHAPE = 0.15
+"""Relative error of the momentum's size if no inertia is known, by the moments about different axes."""
+
+
+class MomentumSizes(NamedTuple):
+    """Sizes (K) of the angular momentum of the solutions of a pass, over the mean moment of inertia, and their sigmas (K).
+
+    Both are in rad/s.
+    """
+
+    size: np.ndarray
+    sigma: np.ndarray
+
+
+def momentum_sizes(solved: Solutions, body: Body) -> MomentumSizes | None:
+    """Return the sizes of the momentum at the middle of a pass; None with wheels, whose momentum may have been another before."""
+    if solved.obs.momentum.any():
+        return None
+    middle = middle_sample(solved.obs.t_s)
+    omega, covariance = (
+        solved.track.omega[:, middle],
+        solved.track.covariance[:, middle, RATE, RATE],
+    )
+    momentum = omega @ body.inertia
+    size = np.linalg.norm(momentum, axis=1)
+    along = momentum / np.maximum(size, 1e-12)[:, None]
+    by_rate = along @ body.inertia
+    variance = np.einsum("ki,kij,kj->k", by_rate, covariance, by_rate)
+    by_error = np.einsum("ki,eij,kj->ke", along, body.errors, omega)
+    of_body = SHAPE * size if body.sphere else np.linalg.norm(by_error, axis=1)
+    return MomentumSizes(size, np.sqrt(variance + of_body**2))
+
+
 def link_passes(
-    passes: Sequence[Solutions], middle_s: Sequence[float], rate_sigma: float
+    passes: Sequence[Solutions],
+    middle_s: Sequence[float],
+    rate_sigma: float,
+    sizes: Sequence[MomentumSizes | None],
 ) -> tuple[list[Solutions], float]:
     """Return the passes with the probabilities of their solutions given all passes, and the strength of the walk (rad/s^1.5).
 
     If no walk is more probable than independent passes, these stay as they are, and the strength is NaN. `middle_s`: middle of each
-    pass, s; `rate_sigma` (rad/s): of each component of the rate before the data.
+    pass, s; `rate_sigma` (rad/s): of each component of the rate before the data; `sizes`: of the momentum in each pass, or None.
     """
     own = [np.log(np.maximum(of_pass.probability, 1e-300)) for of_pass in passes]
     # log evidence relative to that of independent passes, which is 0
@@ -41,8 +87,8 @@ def link_passes(
     gaps_s = np.abs(np.diff(middle_s))
     for walk in WALKS:
         transitions = [
-            _log_transition(before, after, walk**2 * gap_s, rate_sigma)
-            for before, after, gap_s in zip(passes[:-1], passes[1:], gaps_s, strict=True)
+            _log_transition(passes[k : k + 2], sizes[k : k + 2], walk**2 * gap_s, rate_sigma)
+            for k, gap_s in enumerate(gaps_s)
         ]
         # log probability of each solution given its pass and all earlier ones
         forward = [own[0]]
@@ -66,19 +112,37 @@ def link_passes(
 
 
 def _log_transition(
-    before: Solutions, after: Solutions, walk: float, rate_sigma: float
+    two: Sequence[Solutions],
+    sizes: Sequence[MomentumSizes | None],
+    walk: float,
+    rate_sigma: float,
 ) -> np.ndarray:
     """Return the log density (K, L) of the L solutions of a pass given each of the K of the pass before, less that of the prior.
 
-    The density is Student's law of the three components of the mean rate, mixed with the prior by :data:`BREAK`. `walk`: variance
-    (rad2/s2) that the walk between the passes adds. The prior of a rate is in `Solutions.probability`, so it is divided out.
+    `two`: the two passes, with the `sizes` of their momenta. The density is Student's law of the three components of the mean rate.
+    If the sizes are known it is mixed with that of the change of the size, in which all directions of the rate are equally likely.
+    Both are mixed with the prior by :data:`BREAK`. `walk`: variance (rad2/s2) that the walk between the passes adds. The prior of a
+    rate is in `Solutions.probability`, so it is divided out.
     """
+    before, after = two
     variance = before.mean_sigma[:, None] ** 2 + after.mean_sigma[None] ** 2 + walk
-    square = ((after.mean[None] - before.mean[:, None]) ** 2 / variance).sum(axis=-1)
-    # log of Student's density of three numbers with these variances: its norm, then the part that depends on the change
-    norm = gammaln((FREEDOM + 3) / 2) - gammaln(FREEDOM / 2) - 1.5 * np.log(np.pi * FREEDOM)
-    density = norm - np.log(variance).sum(axis=-1) / 2
-    density = density - (FREEDOM + 3) / 2 * np.log1p(square / FREEDOM)
+    density = _log_student(after.mean[None] - before.mean[:, None], variance)
+    first, second = sizes
+    if first is not None and second is not None:
+        variance = first.sigma[:, None] ** 2 + second.sigma[None] ** 2 + walk
+        change = second.size[None] - first.size[:, None]
+        # over a sphere of this size; the variance keeps the density of a body at rest finite
+        sphere = np.log(4 * np.pi * (second.size[None] ** 2 + variance))
+        of_size = _log_student(change[..., None], variance[..., None]) - sphere
+        density = np.logaddexp(np.log(KEEPS_AXIS) + density, np.log1p(-KEEPS_AXIS) + of_size)
     prior = -(after.mean**2).sum(axis=-1) / (2 * rate_sigma**2)
     linked = density - (prior - 1.5 * np.log(2 * np.pi * rate_sigma**2))[None]
     return np.logaddexp(np.log1p(-BREAK) + linked, np.log(BREAK))
+
+
+def _log_student(change: np.ndarray, variance: np.ndarray) -> np.ndarray:
+    """Return the log of Student's density (...) of d numbers `change` (..., d) with these variances (..., d), uncorrelated."""
+    d, square = change.shape[-1], (change**2 / variance).sum(axis=-1)
+    norm = gammaln((FREEDOM + d) / 2) - gammaln(FREEDOM / 2) - d / 2 * np.log(np.pi * FREEDOM)
+    density = norm - np.log(variance).sum(axis=-1) / 2
+    return density - (FREEDOM + d) / 2 * np.log1p(square / FREEDOM)

@@ -19,7 +19,7 @@ from sunspin.dynamics.step import load as load_step
 from sunspin.dynamics.torques import acting
 from sunspin.environment import Environment
 from sunspin.environment.orbit import Orbit, SunAlongZ
-from sunspin.estimate.between import link_passes
+from sunspin.estimate.between import link_passes, momentum_sizes
 from sunspin.estimate.budget import USUAL, Budget
 from sunspin.estimate.changed_wheel import changed_wheel
 from sunspin.estimate.columns import check_columns, cost_of_silent_panels
@@ -346,7 +346,8 @@ def solve_passes(
     numbers = [a_pass.number for a_pass in passes]
     solved, period_attrs = weigh_by_periods(solved, body, periods, numbers)
     middle_s = [float(obs.t_s[a_pass.samples].mean()) for a_pass in passes]
-    solved, walk = link_passes(solved, middle_s, fitted.nominal.rate_sigma)
+    sizes = [momentum_sizes(of_pass, body) for of_pass in solved]
+    solved, walk = link_passes(solved, middle_s, fitted.nominal.rate_sigma, sizes)
     solved = [
         of_pass.listed(settings.solutions, len(images_of(pass_fits.nominal)))
         for of_pass, pass_fits in zip(solved, fits, strict=True)
