@@ -85,6 +85,9 @@ def test_readings_that_no_motion_explains_are_not_explained():
     tree = of_box(telemetry.assign(power_W=(("time", "panel"), power)))
     assert tree.attrs["verdict_word"] == "not explained" and tree.attrs["p_value"] < 0.002
     assert not bool(tree["passes"]["fits"].values[0])
+    assert (
+        tree.attrs["verdict"].count("no motion is within the noise") == 1
+    )  # of the first such window
 
 
 def test_a_torque_that_the_file_lacks_is_found_and_named():

@@ -33,6 +33,9 @@ FIT_S, START_S = 0.005, 1e-5
 """Seconds of one core for the fit of a motion to five samples and the stages after it, and for the starts in a cell of the grid of
 rates with one direction. Measured on Philae."""
 
+NONE_FITS = "no motion is within the noise"
+"""Begin of the doubt about the first window that no motion fits."""
+
 LONG_S = 60.0
 """A stage that takes longer than this is announced before it begins."""
 
@@ -149,7 +152,11 @@ class Shooting:
             order = np.argsort(motions.cost, kind="stable")[: s.kept_anyway]
             possible = np.zeros(len(motions), dtype=bool)
             possible[order[np.isfinite(motions.cost[order])]] = True
-            self._doubt(f"no motion is within the noise {size}", left_out=False)
+            if not any(
+                NONE_FITS in doubt.text for doubt in self.doubts
+            ):  # wider windows add nothing
+                count = window.stop - window.start
+                self._doubt(f"{NONE_FITS} of {count} samples", left_out=False)
         # copies are near in rate and direction up to the end of the next window or, with body and wheel free, on one ridge
         wider = grown(self.t_s, window, self.settings.search.growth)
         reach_s = float(np.abs(self.t_s[wider]).max())
