@@ -213,10 +213,20 @@ def search_nominal(
 
 
 def search_under(carrier: Shooting) -> LanderMotions:
-    """Return every motion that the readings allow under the model of a carrier, by a search that begins on a grid of rates."""
+    """Return every motion that the readings allow under the model of a carrier, by a search that begins on a grid of rates.
+
+    The starts are kept by the carrier. A carrier that has some, those of the nominal model, begins with these: starts do not depend
+    on torques.
+    """
     settings = carrier.settings
-    carrier.announce_starts()
-    starts = grid_starts(carrier.model, carrier.reference, settings.grid, carrier.workers)
+    if not carrier.starts:
+        carrier.announce_starts()
+        found = grid_starts(carrier.model, carrier.reference, settings.grid, carrier.workers)
+        carrier.starts = list(found)
+    starts = [
+        (window, replace(carrier.model.at_centres(at.omega, at.sun), starts=at.starts))
+        for window, at in carrier.starts
+    ]
     watched = replace(settings.search, watch=carrier.note_window)
     # the budget ends nothing: `search` asks it before a further place only, and there is one
     return search(carrier, starts, watched, Budget(settings.motions))
@@ -255,6 +265,7 @@ def draw_all_models(
         text = "solutions with a constant torque were not searched, as this would take longer than the search without"
         return [*doubts, Doubt(text, left_out=True)], mix
     say("no motion explains the readings: searching under constant torques")
+    carrier.announce_torques(len(torques))
     # the budget does not count these searches: `ShootingSettings.most_search` limits each
     searched = [fit_under(torque, nominal, search_under(torque)) for torque in torques]
     fits, doubts = draw_models([fits[0], *searched], nominal, streams[3:6], budget)

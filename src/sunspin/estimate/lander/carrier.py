@@ -33,6 +33,9 @@ FIT_S, START_S = 0.005, 1e-5
 """Seconds of one core for the fit of a motion to five samples and the stages after it, and for the starts in a cell of the grid of
 rates with one direction. Measured on Philae."""
 
+WORK_S = 4e-4
+"""Seconds of one core for a search, for each motion and sample that it fits to windows. Measured on landers with a wheel."""
+
 NONE_FITS = "no motion is within the noise"
 """Begin of the doubt about the first window that no motion fits."""
 
@@ -52,7 +55,8 @@ class Shooting:
     """Steps of a search for motions that are given by one state at the reference (:class:`sunspin.estimate.search.Carrier`).
 
     Samples are at the times `t_s` (n) from the reference; a window is a slice of them. `doubts`: on the search so far; `work`:
-    motions times samples that were fitted to windows (the fits to all samples are not counted); `stages`: windows.
+    motions times samples that were fitted to windows (the fits to all samples are not counted); `stages`: windows;
+    `starts`: windows with the motions at which the search begins there, once they are computed.
     """
 
     def __init__(
@@ -77,12 +81,15 @@ class Shooting:
         self.doubts = reference.doubts
         self.work = 0
         self.stages: list[Stage] = []
+        self.starts: list[tuple[slice, LanderMotions]] = []
         self._fitted_to_window = 0
 
     def under(self, model: LanderModel) -> Shooting:
         """Return a new search of the same readings under a model with a constant torque."""
         size = self.s.searched_under
-        return Shooting(model, self.reference, self.settings, self.workers, size)
+        other = Shooting(model, self.reference, self.settings, self.workers, size)
+        other.starts = self.starts
+        return other
 
     def _doubt(self, text: str, *, left_out: bool) -> None:
         """Add a doubt, unless it is there; `left_out`: the search has left out motions that may fit."""
@@ -254,6 +261,15 @@ class Shooting:
             )
             _warn(
                 f"looking for starts takes about {duration_s / 60:.1f} min; with --prior max_rate_rad_s={smaller:.2g} about one"
+            )
+
+    def announce_torques(self, count: int) -> None:
+        """Warn before searches under `count` constant torques that take long; each takes about as long as this search did."""
+        duration_s = WORK_S * self.work * count
+        if duration_s > LONG_S:
+            _warn(
+                f"no motion fits without a torque; searching under constant torques takes about {duration_s / 60:.1f} min "
+                "(--prior steady_torque=0 leaves it out)"
             )
 
     def joined(self, motions: list[LanderMotions]) -> LanderMotions:
