@@ -479,7 +479,10 @@ def _verdict_attributes(
     likeliest = max(models, key=lambda what: probability[what])
     if likeliest != AS_STATED:
         share = f"{probability[likeliest]:.2f}"
-        text += f"; an alternative model fits better: {likeliest} (probability {share})"
+        if findings.refused:
+            text += f"; {likeliest} does not explain the readings either"
+        else:
+            text += f"; an alternative model fits better: {likeliest} (probability {share})"
     if word == "not explained":
         fastest = np.degrees(tree.attrs["searched_rate_rad_s"])
         text += f"; rates up to {fastest:.3g} deg/s were searched"

@@ -141,7 +141,8 @@ def _not_explained(findings: PosteriorFindings) -> str:
     text = "; ".join([text, *findings.accused, *(doubt.text for doubt in findings.doubts)])
     if findings.dark:
         return text + _eclipse_text(findings)
-    return f"{text}. Check the vehicle file, the time window, the wheels, and for shaded or failed panels"
+    wheels = "the wheels (--wheel-mode, if a motor holds or brakes them)"
+    return f"{text}. Check the vehicle file, the time window, {wheels}, and for shaded or failed panels"
 
 
 def _eclipse_text(findings: PosteriorFindings) -> str:
