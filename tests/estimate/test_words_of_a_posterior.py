@@ -135,13 +135,14 @@ def test_a_solution_with_too_few_draws_has_the_spread_of_the_proposal():
 
 @pytest.mark.parametrize(
     ("p_value", "text"),
-    [(0.5, "an alternative model fits better: a torque"), (0.0, "a torque does not explain the")],
+    [(0.5, "an alternative model fits better: a torque"), (0.0, "a torque that turns does not")],
 )
 def test_a_torque_under_which_nothing_fits_is_not_said_to_fit_better(p_value, text):
     fits = [SimpleNamespace(model=SimpleNamespace(what=what)) for what in (AS_STATED, "a torque")]
     draws = SimpleNamespace(log_evidence=0.0)
     mix: Any = SimpleNamespace(fits=fits, probability=np.array([0.0, 1.0]), draws=draws)
-    nominal: Any = SimpleNamespace(window=SimpleNamespace(remarks=()))
+    window, words = SimpleNamespace(remarks=()), {"steady_torque": "turns"}
+    nominal: Any = SimpleNamespace(window=window, prior_words=words)
     tree: Any = SimpleNamespace(attrs={"searched_rate_rad_s": 0.3})
     findings = replace(GOOD, p_value=p_value)
     assert text in _verdict_attributes(tree, mix, findings, nominal, np.zeros((1, 1)))["verdict"]

@@ -480,7 +480,8 @@ def _verdict_attributes(
     if likeliest != AS_STATED:
         share = f"{probability[likeliest]:.2f}"
         if findings.refused:
-            text += f"; {likeliest} does not explain the readings either"
+            size = nominal.prior_words["steady_torque"]  # "turns by up to 300 deg (assumed)"
+            text += f"; {likeliest} that {size} does not explain the readings either"
         else:
             text += f"; an alternative model fits better: {likeliest} (probability {share})"
     if word == "not explained":
