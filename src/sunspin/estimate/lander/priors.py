@@ -298,6 +298,7 @@ def _inertia_unknowns(vehicle: Vehicle, sources: Sources) -> list[Unknown]:
         sigma = np.broadcast_to(np.asarray(fact.sigma, dtype=np.float64), (3, 3))
     else:
         sigma = np.diag(sources.sigma("inertia", None, INERTIA) * np.diag(tensor))
+        sources.in_words["inertia"] += " of each moment, products of inertia taken as exact"
     return [
         Unknown(
             f"inertia_{'xyz'[a]}{'xyz'[b]}",
