@@ -62,7 +62,11 @@ def aliases(*probability: float, apart: float = 0.1) -> PosteriorFindings:
         (aliases(*[0.04] * 25, apart=1e-3), "line", "the data do not select one"),
         (replace(GOOD, p_value=0.001), "not explained", "residuals as large as these"),
         (replace(GOOD, p_value=0.001), "not explained", "(--wheel-mode, if a motor holds"),
-        (replace(GOOD, noise_sigmas=4.0), "not explained", "far more than assumed (+4.0 sigma)"),
+        (
+            replace(GOOD, noise_sigmas=4.0, noise_factor=3.32),
+            "not explained",
+            "far more than assumed (+4.0 sigma, 3.3 times)",
+        ),
         (replace(GOOD, noise_sigmas=-4.0), "not explained", "far less than assumed"),
         (NONE_FITS, "not sure", "doubt; none of the solutions searched"),
         (replace(GOOD, doubts=[Doubt("a doubt")]), "not sure", "a doubt; result so far: unique"),

@@ -41,7 +41,7 @@ class PosteriorFindings:
     the root mean square `speed`, rad/s. `interval_s`: median time between samples; `p_value`, `noise_sigmas`: of the predictive
     check; `accused`: sentences on panels with many outliers; `pareto_k`, `effective`: Pareto index and effective sample size of the
     draws; `doubts`: on search and draws; `dark`: when no panel was lit, in words, or empty; `alike`: which solutions panels on
-    shared inputs cannot distinguish, in words, or empty.
+    shared inputs cannot distinguish, in words, or empty; `noise_factor`: noise over the assumed one.
     """
 
     probability: np.ndarray
@@ -57,6 +57,7 @@ class PosteriorFindings:
     doubts: list[Doubt]
     dark: str
     alike: str = ""
+    noise_factor: float = 1.0
 
     @property
     def counted(self) -> np.ndarray:
@@ -137,7 +138,10 @@ def _not_explained(findings: PosteriorFindings) -> str:
     text = f"not explained: no solution fits; residuals as large as these have a probability of {findings.p_value:.2g}"
     if abs(findings.noise_sigmas) > NOISE_LIMIT:
         side = "more" if findings.noise_sigmas > 0 else "less"
-        text = f"not explained: no solution fits unless the noise is far {side} than assumed ({findings.noise_sigmas:+.1f} sigma)"
+        size = f"{findings.noise_sigmas:+.1f} sigma, {findings.noise_factor:.2g} times"
+        text = (
+            f"not explained: no solution fits unless the noise is far {side} than assumed ({size})"
+        )
     text = "; ".join([text, *findings.accused, *(doubt.text for doubt in findings.doubts)])
     if findings.dark:
         return text + _eclipse_text(findings)
