@@ -38,6 +38,7 @@ from sunspin.estimate.lander.verdict import (
     PosteriorFindings,
     accused_panels,
     dark_stretch,
+    one_plane,
     pass_row,
     posterior_words,
 )
@@ -464,7 +465,7 @@ def _findings(
         effective=mix.draws.effective,
         doubts=list(doubts),
         dark=dark_stretch(t_s[read], sunlit[read]),
-        alike=alike_motions(nominal.assessment.vehicle),
+        alike=alike_motions(nominal.assessment.vehicle) or one_plane(panels),
         noise_factor=float(np.exp(check.noise_sigmas * sum(noise_sigma))),
     )
 

@@ -24,6 +24,7 @@ from sunspin.estimate.lander.motions import Doubt, LanderMotions, ModelFit
 from sunspin.estimate.lander.rate_grid import TRIAL_ERROR
 from sunspin.estimate.search import grown
 from sunspin.estimate.settings import PosteriorSettings
+from sunspin.estimate.terms.panels import images
 from sunspin.estimate.terms.powers import TILT
 
 RUNS_AT_ONCE = 8192
@@ -296,15 +297,16 @@ class Shooting:
         """Return motions and their symmetric solutions fitted to all samples with all unknowns free, without copies."""
         fit = self._fit_without_symmetry(motions)
         # rotations and mirrors (3, 3) of the panels, the identity first
-        symmetries = self.model.panels.response.symmetries
+        panels = self.model.panels
+        symmetries = images(panels.response, np.any(panels.used, axis=0))
         if len(symmetries) == 1:
             return fit
         # The search may miss symmetric solutions, which no reading distinguishes. A mirror reverses rates, which are axial vectors.
-        motions, images = fit.motions, []
+        motions, symmetric = fit.motions, []
         for matrix in symmetries:
             omega = np.linalg.det(matrix) * (motions.omega @ matrix.T)
-            images.append(replace(motions, omega=omega, sun=motions.sun @ matrix.T))
-        return self._fit_without_symmetry(LanderMotions.joined(images))
+            symmetric.append(replace(motions, omega=omega, sun=motions.sun @ matrix.T))
+        return self._fit_without_symmetry(LanderMotions.joined(symmetric))
 
     def _fit_without_symmetry(self, motions: LanderMotions) -> ModelFit:
         """Return motions fitted to all samples, without copies and without far less probable ones, by falling evidence.

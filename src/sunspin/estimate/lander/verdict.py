@@ -9,6 +9,8 @@ import xarray as xr
 
 from sunspin.estimate.lander.motions import Doubt
 from sunspin.estimate.lander.tree import LEAST_COUNTED, TOO_FEW, group
+from sunspin.estimate.terms.panels import blind_axis
+from sunspin.estimate.terms.powers import PanelPowers
 from sunspin.estimate.verdict import NARROWER, SPEEDS, UPPER, Answers, PassRow, Speed, drawn_speeds
 
 NOT_EXPLAINED = 0.002
@@ -173,6 +175,16 @@ def dark_stretch(t_s: np.ndarray, lit: np.ndarray) -> str:
         return ""
     k = int(np.argmax(end - begin))
     return f"no panel lit from {t_s[begin[k]]:.6g} to {t_s[end[k] - 1]:.6g} s ({count} samples)"
+
+
+def one_plane(panels: PanelPowers) -> str:
+    """Return in words that panels whose normals lie in one plane do not distinguish mirror solutions; else an empty text."""
+    if blind_axis(panels.response, np.any(panels.used, axis=0)) is None:
+        return ""
+    return (
+        "the normals of all panels lie in one plane, so each solution has a mirror solution with some signs reversed. A gyro, "
+        "magnetometer or Sun sensor resolves this; inertia or wheels sometimes do"
+    )
 
 
 def accused_panels(names: tuple[str, ...], outliers: np.ndarray, lit: np.ndarray) -> list[str]:
