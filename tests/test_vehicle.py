@@ -61,6 +61,8 @@ KNOWN = "known keys: columns, scale_rad_s, zero, noise_rad_s, wraps_at"
         ("[1, 0, 0], [0, 2", "[1, 0.1, 0], [0, 2", ["symmetric", "0.1"]),
         ("[0, 0, 2.5]", "[0, 0, 5]", ["not that of any body", "1, 2, 5"]),
         ("[[1, 0, 0]", "[[-1, 0, 0]", ["positive definite"]),
+        ("[body]", "max_rate_rad_s = 1\n[body]", ["max_rate_rad_s belongs under [disturbance]"]),
+        ("[body]", "tip_B_m = 1\n[body]", ["tip_B_m belongs under [[leg]]"]),
         ("= [1, 0, 0]", "= [1, 0, 1]", ["normal_B of panel 'a'", "unit vector", "1.414"]),
         ("= [1, 0, 0]", "= [1, 0]", ["normal_B", "three finite numbers"]),
         ("= [1, 0, 0]", "= [1, [0], 0]", ["normal_B of panel 'a'", "three finite numbers"]),

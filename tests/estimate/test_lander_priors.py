@@ -339,6 +339,9 @@ def test_a_constant_torque_turns_the_body_by_its_largest_angle_over_the_samples(
     small = constant_torques(model, {"steady_torque": 20.0})[0]
     unknown = small.unknowns[small.indices("steady_torque")[0]]
     assert unknown.sigma * duration**2 / 2 <= np.radians(20.0)
+    strong = constant_torques(model, {"steady_torque": 6000.0})[0]
+    unknown = strong.unknowns[strong.indices("steady_torque")[0]]
+    assert unknown.sigma * duration**2 / 2 == pytest.approx(np.radians(6000.0))
     assert constant_torques(model, {"steady_torque": 0.0}) == []
     # a torque about z speeds a body that rests, without its wheel, by torque over moment of inertia
     rest = replace(in_body, vehicle=replace(PHILAE, wheels=()), of_motion=in_body.of_motion[-3:])
@@ -354,7 +357,7 @@ def test_priors_say_what_they_are_and_where_from():
     assessment = assess(PHILAE, lander_telemetry(100.0 * np.arange(8)))
     window = observe_window(assessment)
     model, said = with_priors(assessment, window, {"inertia": 0.02, "max_rate_rad_s": 0.3})
-    assert said["inertia"] == "0.02 (given)"
+    assert said["inertia"] == "0.02 (given) of each moment, products of inertia taken as exact"
     assert said["friction"] == "0.05 (assumed)"
     assert said["rate"] == "uniform in a ball of 0.3 rad/s"
     assert model.max_rate == 0.3

@@ -7,6 +7,8 @@ import pytest
 import xarray as xr
 
 import sunspin as ss
+from sunspin.estimate.lander import carrier
+from sunspin.estimate.lander.grid import grid_starts
 from sunspin.estimate.lander.periods import draws_by_periods
 from sunspin.estimate.lander.predict import best_motions, predict
 from sunspin.estimate.posterior import posterior
@@ -85,12 +87,27 @@ def test_readings_that_no_motion_explains_are_not_explained():
     tree = of_box(telemetry.assign(power_W=(("time", "panel"), power)))
     assert tree.attrs["verdict_word"] == "not explained" and tree.attrs["p_value"] < 0.002
     assert not bool(tree["passes"]["fits"].values[0])
+    assert (
+        tree.attrs["verdict"].count("no motion is within the noise") == 1
+    )  # of the first such window
 
 
-def test_a_torque_that_the_file_lacks_is_found_and_named():
-    """It is constant in the body and turns it by four rad in two minutes; draws of the result bring its size."""
+def test_a_torque_that_the_file_lacks_is_found_and_named(monkeypatch, caplog):
+    """It is constant in the body and turns it by four rad in two minutes; draws of the result bring its size.
+
+    The searches under torques are announced, and begin at the starts of the search without.
+    """
     inertia, acceleration = box().require_inertia(), 6e-4 * np.array([0.6, -0.5, 0.6])
+    searched = []
+
+    def counted(*args):
+        searched.append(args)
+        return grid_starts(*args)
+
+    monkeypatch.setattr("sunspin.estimate.posterior.grid_starts", counted)
+    monkeypatch.setattr(carrier, "LONG_S", 0.0)
     tree = of_box(box_telemetry(inertia @ acceleration), {"max_rate_rad_s": 0.1})
+    assert len(searched) == 1 and "searching under constant torques takes about" in caplog.text
     models = json.loads(tree.attrs["hypotheses"])
     assert models["a steady torque in body axes"] > 0.9
     assert "an alternative model fits better: a steady torque in body axes" in tree.attrs["verdict"]

@@ -12,7 +12,7 @@ import xarray as xr
 import sunspin as ss
 from sunspin.base.errors import SunspinError
 from sunspin.estimate.lander.window import observe_window
-from sunspin.estimate.posterior import posterior
+from sunspin.estimate.posterior import posterior, search_under
 from sunspin.telemetry.assess import assess
 from sunspin.vehicle import Fact, Friction, Vehicle, Wheel
 from tests.support.any_vehicle import judge_posterior, posterior_case
@@ -72,6 +72,21 @@ def test_the_mirror_solution_of_side_panels_has_half_the_probability():
         near = sigmas_off(tree, rate) < NEAR_SIGMAS
         assert probability[near].sum() == pytest.approx(0.5, abs=0.1)
     assert tree.attrs["verdict_word"] == "aliases"
+    assert "normals of all panels lie in one plane" in tree.attrs["verdict"]
+
+
+def test_a_mirror_solution_that_the_search_missed_is_listed(monkeypatch):
+    """The search is made to leave motions on one side of the plane of the panels only."""
+    craft = small_cube()
+    craft = replace(craft, panels=craft.panels[:4])
+
+    def one_side(carrier):
+        motions = search_under(carrier)
+        return motions.take(motions.sun[:, 2] * motions.sun[0, 2] > 0)
+
+    monkeypatch.setattr("sunspin.estimate.posterior.search_under", one_side)
+    tree = few(craft, samples(craft, 20, 15.0), PRIORS)
+    assert tree.attrs["verdict_word"] != "unique" and not tree["passes"]["decided"].values.any()
 
 
 def test_the_advice_to_raise_the_rate_limit_gives_a_decided_pass(telemetry):

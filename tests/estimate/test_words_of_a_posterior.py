@@ -16,6 +16,8 @@ from sunspin.estimate.lander.verdict import (
     dark_stretch,
     posterior_words,
 )
+from sunspin.estimate.model import AS_STATED
+from sunspin.estimate.posterior import _verdict_attributes
 
 GOOD = PosteriorFindings(
     probability=np.array([1.0]),
@@ -59,7 +61,12 @@ def aliases(*probability: float, apart: float = 0.1) -> PosteriorFindings:
         (replace(GOOD, longest_sigma=np.array([0.2])), "line", "a line of solutions over 23 deg/s"),
         (aliases(*[0.04] * 25, apart=1e-3), "line", "the data do not select one"),
         (replace(GOOD, p_value=0.001), "not explained", "residuals as large as these"),
-        (replace(GOOD, noise_sigmas=4.0), "not explained", "far more than assumed (+4.0 sigma)"),
+        (replace(GOOD, p_value=0.001), "not explained", "(--wheel-mode, if a motor holds"),
+        (
+            replace(GOOD, noise_sigmas=4.0, noise_factor=3.32),
+            "not explained",
+            "far more than assumed (+4.0 sigma, 3.3 times)",
+        ),
         (replace(GOOD, noise_sigmas=-4.0), "not explained", "far less than assumed"),
         (NONE_FITS, "not sure", "doubt; none of the solutions searched"),
         (replace(GOOD, doubts=[Doubt("a doubt")]), "not sure", "a doubt; result so far: unique"),
@@ -128,3 +135,18 @@ def test_a_solution_with_too_few_draws_has_the_spread_of_the_proposal():
     np.testing.assert_allclose(spread, expected, atol=3e-5)
     few = _proposed_covariance(mix, np.arange(9), np.zeros(3), 0.5)
     np.testing.assert_allclose(few, 0.25 * np.eye(3))
+
+
+@pytest.mark.parametrize(
+    ("p_value", "text"),
+    [(0.5, "an alternative model fits better: a torque"), (0.0, "a torque that turns does not")],
+)
+def test_a_torque_under_which_nothing_fits_is_not_said_to_fit_better(p_value, text):
+    fits = [SimpleNamespace(model=SimpleNamespace(what=what)) for what in (AS_STATED, "a torque")]
+    draws = SimpleNamespace(log_evidence=0.0)
+    mix: Any = SimpleNamespace(fits=fits, probability=np.array([0.0, 1.0]), draws=draws)
+    window, words = SimpleNamespace(remarks=()), {"steady_torque": "turns"}
+    nominal: Any = SimpleNamespace(window=window, prior_words=words)
+    tree: Any = SimpleNamespace(attrs={"searched_rate_rad_s": 0.3})
+    findings = replace(GOOD, p_value=p_value)
+    assert text in _verdict_attributes(tree, mix, findings, nominal, np.zeros((1, 1)))["verdict"]

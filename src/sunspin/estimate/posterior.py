@@ -38,6 +38,7 @@ from sunspin.estimate.lander.verdict import (
     PosteriorFindings,
     accused_panels,
     dark_stretch,
+    one_plane,
     pass_row,
     posterior_words,
 )
@@ -213,10 +214,20 @@ def search_nominal(
 
 
 def search_under(carrier: Shooting) -> LanderMotions:
-    """Return every motion that the readings allow under the model of a carrier, by a search that begins on a grid of rates."""
+    """Return every motion that the readings allow under the model of a carrier, by a search that begins on a grid of rates.
+
+    The starts are kept by the carrier. A carrier that has some, those of the nominal model, begins with these: starts do not depend
+    on torques.
+    """
     settings = carrier.settings
-    carrier.announce_starts()
-    starts = grid_starts(carrier.model, carrier.reference, settings.grid, carrier.workers)
+    if not carrier.starts:
+        carrier.announce_starts()
+        found = grid_starts(carrier.model, carrier.reference, settings.grid, carrier.workers)
+        carrier.starts = list(found)
+    starts = [
+        (window, replace(carrier.model.at_centres(at.omega, at.sun), starts=at.starts))
+        for window, at in carrier.starts
+    ]
     watched = replace(settings.search, watch=carrier.note_window)
     # the budget ends nothing: `search` asks it before a further place only, and there is one
     return search(carrier, starts, watched, Budget(settings.motions))
@@ -255,6 +266,7 @@ def draw_all_models(
         text = "solutions with a constant torque were not searched, as this would take longer than the search without"
         return [*doubts, Doubt(text, left_out=True)], mix
     say("no motion explains the readings: searching under constant torques")
+    carrier.announce_torques(len(torques))
     # the budget does not count these searches: `ShootingSettings.most_search` limits each
     searched = [fit_under(torque, nominal, search_under(torque)) for torque in torques]
     fits, doubts = draw_models([fits[0], *searched], nominal, streams[3:6], budget)
@@ -437,6 +449,9 @@ def _findings(
     names = nominal.fit.model.vehicle.input_names
     t_s = nominal.window.start_s + nominal.window.obs.t_s
     rate, covariance = solutions["omega_B"].values, solutions["omega_cov_B"].values
+    noise_sigma = (
+        x.sigma for x in panels.own if x.kind == "noise"
+    )  # of its logarithm; none if it is known
     return PosteriorFindings(
         probability=probability,
         rate=rate,
@@ -450,7 +465,8 @@ def _findings(
         effective=mix.draws.effective,
         doubts=list(doubts),
         dark=dark_stretch(t_s[read], sunlit[read]),
-        alike=alike_motions(nominal.assessment.vehicle),
+        alike=alike_motions(nominal.assessment.vehicle) or one_plane(panels),
+        noise_factor=float(np.exp(check.noise_sigmas * sum(noise_sigma))),
     )
 
 
@@ -468,7 +484,11 @@ def _verdict_attributes(
     likeliest = max(models, key=lambda what: probability[what])
     if likeliest != AS_STATED:
         share = f"{probability[likeliest]:.2f}"
-        text += f"; an alternative model fits better: {likeliest} (probability {share})"
+        if findings.refused:
+            size = nominal.prior_words["steady_torque"]  # "turns by up to 300 deg (assumed)"
+            text += f"; {likeliest} that {size} does not explain the readings either"
+        else:
+            text += f"; an alternative model fits better: {likeliest} (probability {share})"
     if word == "not explained":
         fastest = np.degrees(tree.attrs["searched_rate_rad_s"])
         text += f"; rates up to {fastest:.3g} deg/s were searched"

@@ -334,8 +334,10 @@ def describe_error(
     if first["type"] == "unexpected_keyword_argument":
         known = keys_at(kind, places[:-1], table is not None)
         similar = get_close_matches(str(places[-1]), known, n=1)
-        question = f"; did you mean {similar[0]}?" if similar else ""
-        do = f"known keys: {', '.join(known)}{question}"
+        tables = tables_with(kind, str(places[-1])) if table is not None else []
+        hint = f"; {places[-1]} belongs under {' or '.join(tables)}" if tables else ""
+        hint = f"; did you mean {similar[0]}?" if similar else hint
+        do = f"known keys: {', '.join(known)}{hint}"
         return sentence(f"unknown key {str(places[-1])!r}", do=do, where=where)
     if first["type"] == "missing":
         return sentence("this key is missing", do="add it", where=where)
@@ -389,6 +391,23 @@ def keys_at(kind: Any, places: tuple[int | str, ...], in_file: bool) -> dict[str
     return dict(
         sorted(keys_of(kind, in_file).items(), key=lambda item: part_in(item[1]) is not None)
     )
+
+
+def tables_with(kind: Any, key: str, place: str = "") -> list[str]:
+    """Return the headers of the tables of a file that have this key, such as ``[disturbance]`` or ``[[panel]]``.
+
+    `kind`: type of the part that the file describes; `place`: its path in the file, empty for the whole file.
+    """
+    headers = []
+    for name, annotation in keys_of(kind).items():
+        part = part_in(annotation)
+        if part is None or "Mapping" in str(annotation):
+            continue  # tables of a mapping have names of their own
+        path = f"{place}.{name}" if place else name
+        if key in keys_of(part):
+            headers.append(f"[[{path}]]" if "tuple[" in str(annotation) else f"[{path}]")
+        headers += tables_with(part, key, path)
+    return headers
 
 
 def part_in(annotation: Any) -> type[Part] | None:

@@ -24,6 +24,7 @@ from sunspin.estimate.lander.motions import Doubt, LanderMotions, ModelFit
 from sunspin.estimate.lander.rate_grid import TRIAL_ERROR
 from sunspin.estimate.search import grown
 from sunspin.estimate.settings import PosteriorSettings
+from sunspin.estimate.terms.panels import images
 from sunspin.estimate.terms.powers import TILT
 
 RUNS_AT_ONCE = 8192
@@ -32,6 +33,12 @@ RUNS_AT_ONCE = 8192
 FIT_S, START_S = 0.005, 1e-5
 """Seconds of one core for the fit of a motion to five samples and the stages after it, and for the starts in a cell of the grid of
 rates with one direction. Measured on Philae."""
+
+WORK_S = 4e-4
+"""Seconds of one core for a search, for each motion and sample that it fits to windows. Measured on landers with a wheel."""
+
+NONE_FITS = "no motion is within the noise"
+"""Begin of the doubt about the first window that no motion fits."""
 
 LONG_S = 60.0
 """A stage that takes longer than this is announced before it begins."""
@@ -49,7 +56,8 @@ class Shooting:
     """Steps of a search for motions that are given by one state at the reference (:class:`sunspin.estimate.search.Carrier`).
 
     Samples are at the times `t_s` (n) from the reference; a window is a slice of them. `doubts`: on the search so far; `work`:
-    motions times samples that were fitted to windows (the fits to all samples are not counted); `stages`: windows.
+    motions times samples that were fitted to windows (the fits to all samples are not counted); `stages`: windows;
+    `starts`: windows with the motions at which the search begins there, once they are computed.
     """
 
     def __init__(
@@ -74,12 +82,15 @@ class Shooting:
         self.doubts = reference.doubts
         self.work = 0
         self.stages: list[Stage] = []
+        self.starts: list[tuple[slice, LanderMotions]] = []
         self._fitted_to_window = 0
 
     def under(self, model: LanderModel) -> Shooting:
         """Return a new search of the same readings under a model with a constant torque."""
         size = self.s.searched_under
-        return Shooting(model, self.reference, self.settings, self.workers, size)
+        other = Shooting(model, self.reference, self.settings, self.workers, size)
+        other.starts = self.starts
+        return other
 
     def _doubt(self, text: str, *, left_out: bool) -> None:
         """Add a doubt, unless it is there; `left_out`: the search has left out motions that may fit."""
@@ -149,7 +160,11 @@ class Shooting:
             order = np.argsort(motions.cost, kind="stable")[: s.kept_anyway]
             possible = np.zeros(len(motions), dtype=bool)
             possible[order[np.isfinite(motions.cost[order])]] = True
-            self._doubt(f"no motion is within the noise {size}", left_out=False)
+            if not any(
+                NONE_FITS in doubt.text for doubt in self.doubts
+            ):  # wider windows add nothing
+                count = window.stop - window.start
+                self._doubt(f"{NONE_FITS} of {count} samples", left_out=False)
         # copies are near in rate and direction up to the end of the next window or, with body and wheel free, on one ridge
         wider = grown(self.t_s, window, self.settings.search.growth)
         reach_s = float(np.abs(self.t_s[wider]).max())
@@ -249,6 +264,15 @@ class Shooting:
                 f"looking for starts takes about {duration_s / 60:.1f} min; with --prior max_rate_rad_s={smaller:.2g} about one"
             )
 
+    def announce_torques(self, count: int) -> None:
+        """Warn before searches under `count` constant torques that take long; each takes about as long as this search did."""
+        duration_s = WORK_S * self.work * count
+        if duration_s > LONG_S:
+            _warn(
+                f"no motion fits without a torque; searching under constant torques takes about {duration_s / 60:.1f} min "
+                "(--prior steady_torque=0 leaves it out)"
+            )
+
     def joined(self, motions: list[LanderMotions]) -> LanderMotions:
         """Return the motions of several searches together."""
         return LanderMotions.joined(motions)
@@ -273,15 +297,16 @@ class Shooting:
         """Return motions and their symmetric solutions fitted to all samples with all unknowns free, without copies."""
         fit = self._fit_without_symmetry(motions)
         # rotations and mirrors (3, 3) of the panels, the identity first
-        symmetries = self.model.panels.response.symmetries
+        panels = self.model.panels
+        symmetries = images(panels.response, np.any(panels.used, axis=0))
         if len(symmetries) == 1:
             return fit
         # The search may miss symmetric solutions, which no reading distinguishes. A mirror reverses rates, which are axial vectors.
-        motions, images = fit.motions, []
+        motions, symmetric = fit.motions, []
         for matrix in symmetries:
             omega = np.linalg.det(matrix) * (motions.omega @ matrix.T)
-            images.append(replace(motions, omega=omega, sun=motions.sun @ matrix.T))
-        return self._fit_without_symmetry(LanderMotions.joined(images))
+            symmetric.append(replace(motions, omega=omega, sun=motions.sun @ matrix.T))
+        return self._fit_without_symmetry(LanderMotions.joined(symmetric))
 
     def _fit_without_symmetry(self, motions: LanderMotions) -> ModelFit:
         """Return motions fitted to all samples, without copies and without far less probable ones, by falling evidence.

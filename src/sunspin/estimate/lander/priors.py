@@ -118,13 +118,14 @@ def constant_torques(model: LanderModel, priors: Mapping[str, Any] | None) -> li
     """Return the alternative models with an unmodelled constant torque: one in body axes, and one in space.
 
     Its size is unknown by powers of ten: several angles are equally probable by which the torque alone would rotate the body over
-    the samples. The largest one is the prior `steady_torque`; if it is zero there are no such models.
+    the samples. The largest one is the prior `steady_torque`: a larger one than usual spreads the angles, a smaller one leaves some
+    out, and if it is zero there are no such models.
     """
     most_deg = largest_torque_deg(priors or {})
     if not most_deg:
         return []
     low, high, count = TORQUE_TURNS_DEG
-    sizes = np.geomspace(low, high, count)
+    sizes = np.geomspace(low, max(high, most_deg), count)
     allowed = sizes[sizes <= most_deg * (1 + 1e-9)]
     angles = np.radians(allowed if len(allowed) else [most_deg])
     duration = float(np.ptp(model.obs.t_s))
@@ -297,6 +298,7 @@ def _inertia_unknowns(vehicle: Vehicle, sources: Sources) -> list[Unknown]:
         sigma = np.broadcast_to(np.asarray(fact.sigma, dtype=np.float64), (3, 3))
     else:
         sigma = np.diag(sources.sigma("inertia", None, INERTIA) * np.diag(tensor))
+        sources.in_words["inertia"] += " of each moment, products of inertia taken as exact"
     return [
         Unknown(
             f"inertia_{'xyz'[a]}{'xyz'[b]}",

@@ -9,6 +9,8 @@ import xarray as xr
 
 from sunspin.estimate.lander.motions import Doubt
 from sunspin.estimate.lander.tree import LEAST_COUNTED, TOO_FEW, group
+from sunspin.estimate.terms.panels import blind_axis
+from sunspin.estimate.terms.powers import PanelPowers
 from sunspin.estimate.verdict import NARROWER, SPEEDS, UPPER, Answers, PassRow, Speed, drawn_speeds
 
 NOT_EXPLAINED = 0.002
@@ -41,7 +43,7 @@ class PosteriorFindings:
     the root mean square `speed`, rad/s. `interval_s`: median time between samples; `p_value`, `noise_sigmas`: of the predictive
     check; `accused`: sentences on panels with many outliers; `pareto_k`, `effective`: Pareto index and effective sample size of the
     draws; `doubts`: on search and draws; `dark`: when no panel was lit, in words, or empty; `alike`: which solutions panels on
-    shared inputs cannot distinguish, in words, or empty.
+    shared inputs cannot distinguish, in words, or empty; `noise_factor`: noise over the assumed one.
     """
 
     probability: np.ndarray
@@ -57,6 +59,7 @@ class PosteriorFindings:
     doubts: list[Doubt]
     dark: str
     alike: str = ""
+    noise_factor: float = 1.0
 
     @property
     def counted(self) -> np.ndarray:
@@ -137,11 +140,15 @@ def _not_explained(findings: PosteriorFindings) -> str:
     text = f"not explained: no solution fits; residuals as large as these have a probability of {findings.p_value:.2g}"
     if abs(findings.noise_sigmas) > NOISE_LIMIT:
         side = "more" if findings.noise_sigmas > 0 else "less"
-        text = f"not explained: no solution fits unless the noise is far {side} than assumed ({findings.noise_sigmas:+.1f} sigma)"
+        size = f"{findings.noise_sigmas:+.1f} sigma, {findings.noise_factor:.2g} times"
+        text = (
+            f"not explained: no solution fits unless the noise is far {side} than assumed ({size})"
+        )
     text = "; ".join([text, *findings.accused, *(doubt.text for doubt in findings.doubts)])
     if findings.dark:
         return text + _eclipse_text(findings)
-    return f"{text}. Check the vehicle file, the time window, the wheels, and for shaded or failed panels"
+    wheels = "the wheels (--wheel-mode, if a motor holds or brakes them)"
+    return f"{text}. Check the vehicle file, the time window, {wheels}, and for shaded or failed panels"
 
 
 def _eclipse_text(findings: PosteriorFindings) -> str:
@@ -168,6 +175,16 @@ def dark_stretch(t_s: np.ndarray, lit: np.ndarray) -> str:
         return ""
     k = int(np.argmax(end - begin))
     return f"no panel lit from {t_s[begin[k]]:.6g} to {t_s[end[k] - 1]:.6g} s ({count} samples)"
+
+
+def one_plane(panels: PanelPowers) -> str:
+    """Return in words that panels whose normals lie in one plane do not distinguish mirror solutions; else an empty text."""
+    if blind_axis(panels.response, np.any(panels.used, axis=0)) is None:
+        return ""
+    return (
+        "the normals of all panels lie in one plane, so each solution has a mirror solution with some signs reversed. A gyro, "
+        "magnetometer or Sun sensor resolves this; inertia or wheels sometimes do"
+    )
 
 
 def accused_panels(names: tuple[str, ...], outliers: np.ndarray, lit: np.ndarray) -> list[str]:

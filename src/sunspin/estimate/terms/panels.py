@@ -341,32 +341,12 @@ class Panels(Term):
         return float(2 * (log / np.maximum(counted.sum(axis=1), 1)).sum())
 
     def blind_axis(self) -> np.ndarray | None:
-        """Return the normal (3) of a plane of which the readings do not show on which side the Sun is, or None.
-
-        That is the plane of the normals of all panels with readings. None: these do not lie in one plane, or a reading changes if
-        the Sun is mirrored in the plane.
-        """
-        was_read = np.isfinite(self.sigma).any(axis=0)
-        singular_values, axes = np.linalg.svd(self.response.facing_B[was_read])[1:]
-        # one value: the normals span a line; three: they span space
-        if np.count_nonzero(singular_values > TINY) != 2:
-            return None
-        across = axes[2]
-        # the response need not be that of flat panels, so the mirrored Sun is tried
-        sun_B = sphere(N_SUN_DIRECTIONS)
-        mirrored = sun_B - 2 * (sun_B @ across)[:, None] * across
-        change = self.response.power(mirrored) - self.response.power(sun_B)
-        unchanged = np.abs(change[:, was_read]).max() < TINY * self.response.largest_power
-        return across if unchanged else None
+        """Return the normal (3) of the plane in which all panels with readings look, or None: see the function of this name."""
+        return blind_axis(self.response, np.any(np.isfinite(self.sigma), axis=0))
 
     def images(self) -> np.ndarray:
         """Return the mirrors and rotations (j, 3, 3) of the body that hardly change the readings, the identity first."""
-        images, axis = self.response.symmetries, self.blind_axis()
-        if axis is None:
-            return images
-        mirrored = images @ (np.eye(3) - 2 * np.outer(axis, axis))
-        new = [image for image in mirrored if np.abs(images - image).max(axis=(1, 2)).min() > TINY]
-        return np.concatenate([images, np.reshape(new, (-1, 3, 3))])
+        return images(self.response, np.any(np.isfinite(self.sigma), axis=0))
 
     def residuals(self, states: States, u: np.ndarray) -> Iterator[Residual]:
         """Yield predicted less read powers and, last, the factor's distance from its prior (K, n, p + 1), in sigmas.
@@ -451,3 +431,35 @@ class Panels(Term):
             light = light + weight * power
             by_turn = by_turn + weight[:, None] * (by_sun @ sun_by_turn)
         return np.asarray(light), np.asarray(by_turn)
+
+
+def blind_axis(response: PanelResponse, was_read: np.ndarray) -> np.ndarray | None:
+    """Return the normal (3) of a plane of which the readings do not show on which side the Sun is, or None.
+
+    That is the plane of the normals of all panels with readings (`was_read` (p)). None: these do not lie in one plane, or a reading
+    changes if the Sun is mirrored in the plane.
+    """
+    singular_values, axes = np.linalg.svd(response.facing_B[was_read])[1:]
+    # one value: the normals span a line; three: they span space
+    if np.count_nonzero(singular_values > TINY) != 2:
+        return None
+    across = axes[2]
+    # the response need not be that of flat panels, so the mirrored Sun is tried
+    sun_B = sphere(N_SUN_DIRECTIONS)
+    mirrored = sun_B - 2 * (sun_B @ across)[:, None] * across
+    change = response.power(mirrored) - response.power(sun_B)
+    unchanged = np.abs(change[:, was_read]).max() < TINY * response.largest_power
+    return across if unchanged else None
+
+
+def images(response: PanelResponse, was_read: np.ndarray) -> np.ndarray:
+    """Return the mirrors and rotations (j, 3, 3) of the body that hardly change the readings, the identity first.
+
+    `was_read` (p): panels with readings.
+    """
+    symmetries, axis = response.symmetries, blind_axis(response, was_read)
+    if axis is None:
+        return symmetries
+    mirrored = symmetries @ (np.eye(3) - 2 * np.outer(axis, axis))
+    new = [image for image in mirrored if np.abs(symmetries - image).max(axis=(1, 2)).min() > TINY]
+    return np.concatenate([symmetries, np.reshape(new, (-1, 3, 3))])
