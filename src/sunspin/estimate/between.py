@@ -21,6 +21,7 @@ from sunspin.estimate.chain import RATE
 from sunspin.estimate.model import Body
 from sunspin.estimate.observe import middle_sample
 from sunspin.estimate.solutions import Solutions
+from sunspin.estimate.verdict import DECIDED
 
 WALKS = np.geomspace(1e-6, 1e-3, 13)
 """Strengths of the walk, rad/s^1.5: a rate changes by this times the root of the time between passes. 1e-3: 4 deg/s in an orbit."""
@@ -120,15 +121,18 @@ def _log_transition(
     """Return the log density (K, L) of the L solutions of a pass given each of the K of the pass before, less that of the prior.
 
     `two`: the two passes, with the `sizes` of their momenta. The density is Student's law of the three components of the mean rate.
-    If the sizes are known it is mixed with that of the change of the size, in which all directions of the rate are equally likely.
-    Both are mixed with the prior by :data:`BREAK`. `walk`: variance (rad2/s2) that the walk between the passes adds. The prior of a
-    rate is in `Solutions.probability`, so it is divided out.
+    If the sizes are known it is mixed with that of the change of the size, in which all directions of the rate are equally likely;
+    but only if one of the two passes is unique by itself. At one interval of the samples an alias has the same size in all passes:
+    of four, each of which gave one 0.6, two were decided as the alias. Both are mixed with the prior by :data:`BREAK`. `walk`:
+    variance (rad2/s2) that the walk between the passes adds. The prior of a rate is in `Solutions.probability`, so it is divided
+    out.
     """
     before, after = two
     variance = before.mean_sigma[:, None] ** 2 + after.mean_sigma[None] ** 2 + walk
     density = _log_student(after.mean[None] - before.mean[:, None], variance)
     first, second = sizes
-    if first is not None and second is not None:
+    is_unique = max(before.probability.max(), after.probability.max()) >= DECIDED
+    if first is not None and second is not None and is_unique:
         variance = first.sigma[:, None] ** 2 + second.sigma[None] ** 2 + walk
         change = second.size[None] - first.size[:, None]
         # over a sphere of this size; the variance keeps the density of a body at rest finite
