@@ -449,9 +449,8 @@ def _findings(
     names = nominal.fit.model.vehicle.input_names
     t_s = nominal.window.start_s + nominal.window.obs.t_s
     rate, covariance = solutions["omega_B"].values, solutions["omega_cov_B"].values
-    noise_sigma = (
-        x.sigma for x in panels.own if x.kind == "noise"
-    )  # of its logarithm; none if it is known
+    # sigma of the logarithm of the noise, zero if the noise is known
+    noise_sigma = sum(unknown.sigma for unknown in panels.own if unknown.kind == "noise")
     return PosteriorFindings(
         probability=probability,
         rate=rate,
@@ -466,7 +465,7 @@ def _findings(
         doubts=list(doubts),
         dark=dark_stretch(t_s[read], sunlit[read]),
         alike=alike_motions(nominal.assessment.vehicle) or one_plane(panels),
-        noise_factor=float(np.exp(check.noise_sigmas * sum(noise_sigma))),
+        noise_factor=float(np.exp(check.noise_sigmas * noise_sigma)),
     )
 
 

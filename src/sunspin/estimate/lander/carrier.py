@@ -160,9 +160,8 @@ class Shooting:
             order = np.argsort(motions.cost, kind="stable")[: s.kept_anyway]
             possible = np.zeros(len(motions), dtype=bool)
             possible[order[np.isfinite(motions.cost[order])]] = True
-            if not any(
-                NONE_FITS in doubt.text for doubt in self.doubts
-            ):  # wider windows add nothing
+            # that wider windows fit no motion either adds nothing
+            if not any(NONE_FITS in doubt.text for doubt in self.doubts):
                 count = window.stop - window.start
                 self._doubt(f"{NONE_FITS} of {count} samples", left_out=False)
         # copies are near in rate and direction up to the end of the next window or, with body and wheel free, on one ridge

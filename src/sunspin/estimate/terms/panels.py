@@ -341,7 +341,7 @@ class Panels(Term):
         return float(2 * (log / np.maximum(counted.sum(axis=1), 1)).sum())
 
     def blind_axis(self) -> np.ndarray | None:
-        """Return the normal (3) of the plane in which all panels with readings look, or None: see the function of this name."""
+        """Return the normal (3) of the plane in which all panels with readings look, or None (the function :func:`blind_axis`)."""
         return blind_axis(self.response, np.any(np.isfinite(self.sigma), axis=0))
 
     def images(self) -> np.ndarray:
