@@ -138,7 +138,7 @@ def plan(
 
 
 def _with_gains_known(vehicle: Vehicle) -> Vehicle:
-    """Return a vehicle whose relative gains are no placeholders: a file of many passes shows whether they are, and one does not."""
+    """Return the vehicle with its relative gains taken as known: a single simulated pass need not show every panel."""
     gains = {f"panel.{panel.name}.relative_gain" for panel in vehicle.panels}
     facts = {key: fact for key, fact in vehicle.facts.items() if key not in gains}
     return replace(vehicle, facts=facts)

@@ -72,7 +72,7 @@ def test_the_mirror_solution_of_side_panels_has_half_the_probability():
         near = sigmas_off(tree, rate) < NEAR_SIGMAS
         assert probability[near].sum() == pytest.approx(0.5, abs=0.1)
     assert tree.attrs["verdict_word"] == "aliases"
-    assert "normals of all panels lie in one plane" in tree.attrs["verdict"]
+    assert "normals of all panels with readings lie in one plane" in tree.attrs["verdict"]
 
 
 def test_a_mirror_solution_that_the_search_missed_is_listed(monkeypatch):

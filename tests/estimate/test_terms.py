@@ -117,11 +117,12 @@ TERMS = {
     "free light": lambda rng: panels(rng, known=False),
     "known light": lambda rng: panels(rng, known=True),
     "gyro": lambda rng: GyroRates(
-        without_one(0.02 * rng.normal(size=(N, 3))), 1e-3, np.array([1e-3, 2e-3, 0.0]), 0.01
+        *(without_one(0.02 * rng.normal(size=(N, 3))), np.arange(float(N))),
+        *(1e-3, np.array([1e-3, 2e-3, 0.0]), 0.01),
     ),
     "drifting gyro": lambda rng: GyroRates(
-        *(without_one(0.02 * rng.normal(size=(N, 3))), 1e-3, np.array([1e-3, 2e-3, 0.0]), 0.01),
-        t_s=np.arange(float(N)),
+        *(without_one(0.02 * rng.normal(size=(N, 3))), np.arange(float(N))),
+        *(1e-3, np.array([1e-3, 2e-3, 0.0]), 0.01),
         drifts_over=(0.0, N - 1.0),
     ),
 }
@@ -419,10 +420,13 @@ def test_without_albedo_no_light_of_the_earth_is_estimated():
 def test_samples_without_a_gyro_reading_do_not_sharpen_it_in_the_search():
     read = np.full((100, 3), np.nan)
     read[::10] = 0.02
-    gyro = GyroRates(read, 1e-4, np.full(3, 1e-2), 0.0)
+    t_s = np.arange(float(len(read)))
+    gyro = GyroRates(read, t_s, 1e-4, np.full(3, 1e-2), 0.0)
     assert gyro.for_search()[0].sigma == pytest.approx(1e-2, rel=1e-3)
     assert (
-        GyroRates(np.full((5, 3), np.nan), 1e-4, np.full(3, 1e-2), 0.0).for_search()[0].sigma
+        GyroRates(np.full((5, 3), np.nan), np.arange(5.0), 1e-4, np.full(3, 1e-2), 0.0)
+        .for_search()[0]
+        .sigma
         == 1e-4
     )
 

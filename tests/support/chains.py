@@ -29,7 +29,7 @@ def problem(noise=1e-4, sigma=0.02, gyro=True, torque=True, seed=1, rate_sigma=0
     terms = [SunDirections.of(sun, np.tile(sigma**2 * np.eye(3), (len(T_S), 1, 1)))]
     if gyro:
         read = truth.omega[0] + 1e-3 * rng.normal(size=(len(T_S), 3))
-        terms.append(GyroRates(read, 1e-3, np.full(3, 2e-3), 0.0))
+        terms.append(GyroRates(read, T_S, 1e-3, np.full(3, 2e-3), 0.0))
     if torque:
         terms.append(
             ConstantTorque.turning("B", [0.3], float(np.ptp(T_S)), INERTIA, still.momentum)

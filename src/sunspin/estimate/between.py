@@ -2,9 +2,9 @@
 
 This is a hidden Markov chain over the passes, whose states are their solutions. The probability of a transition is a Student
 density of the change of the mean rate, or of the size of the angular momentum alone. A body that is no sphere keeps the size
-between two passes, but may rotate about another axis of the body. Its width comes from the sigmas of both solutions and from a
-random walk between the passes. Sums over all sequences of solutions (forward-backward algorithm) give the probability of each
-solution. The strength of the walk is the one of a list with the largest evidence. If rates change wildly, none is better than
+between two passes, but may rotate about another axis of the body. The width of the density comes from the sigmas of both solutions
+and from a random walk between the passes. Sums over all sequences of solutions (forward-backward algorithm) give the probability of
+each solution. The strength of the walk is the one of a list with the largest evidence. If rates change wildly, none is better than
 independent passes, and nothing changes.
 """
 
@@ -113,21 +113,21 @@ def link_passes(
 
 
 def _log_transition(
-    two: Sequence[Solutions],
+    neighbours: Sequence[Solutions],
     sizes: Sequence[MomentumSizes | None],
     walk: float,
     rate_sigma: float,
 ) -> np.ndarray:
     """Return the log density (K, L) of the L solutions of a pass given each of the K of the pass before, less that of the prior.
 
-    `two`: the two passes, with the `sizes` of their momenta. The density is Student's law of the three components of the mean rate.
-    If the sizes are known it is mixed with that of the change of the size, in which all directions of the rate are equally likely;
-    but only if one of the two passes is unique by itself. At one interval of the samples an alias has the same size in all passes:
-    of four, each of which gave one 0.6, two were decided as the alias. Both are mixed with the prior by :data:`BREAK`. `walk`:
-    variance (rad2/s2) that the walk between the passes adds. The prior of a rate is in `Solutions.probability`, so it is divided
-    out.
+    `neighbours`: the two passes, with the `sizes` of their momenta. The density is Student's law of the three components of the
+    mean rate. If the sizes are known it is mixed with that of the change of the size, in which all directions of the rate are
+    equally likely; but only if one of the two passes is unique by itself. With evenly spaced samples an alias may have the same
+    size in all passes, and their sizes would favour it: two of four passes were decided so. Both are mixed with the prior by
+    :data:`BREAK`. `walk`: variance (rad2/s2) that the walk between the passes adds. The prior of a rate is in
+    `Solutions.probability`, so it is divided out.
     """
-    before, after = two
+    before, after = neighbours
     variance = before.mean_sigma[:, None] ** 2 + after.mean_sigma[None] ** 2 + walk
     density = _log_student(after.mean[None] - before.mean[:, None], variance)
     first, second = sizes

@@ -178,20 +178,20 @@ class ContradictingSensor:
 
 @dataclass(frozen=True)
 class UnstatedZero:
-    """A `gyro` that fits only with a zero offset `zero_B` (3), rad/s, that the vehicle file does not state."""
+    """A `gyro` that fits only with a zero offset whose sigma the vehicle file does not state; its size is about `size_rad_s`."""
 
-    zero_B: np.ndarray
+    size_rad_s: float
     gyro: Gyro
 
     def words(self) -> str:
         """Return a sentence for the verdict."""
-        shown = ", ".join(f"{value:z.2g}" for value in np.degrees(self.zero_B))
-        # the sigma of each column, in its unit: the largest offset of an axis, with two digits
-        sigma = float(f"{np.abs(self.zero_B).max() / abs(self.gyro.scale_rad_s):.2g}")
+        # the sigma in the unit of the columns, with two digits
+        sigma = float(f"{self.size_rad_s / abs(self.gyro.scale_rad_s):.2g}")
         zero = {"value": self.gyro.zero.tolist(), "sigma": sigma}
         return (
-            f"the gyro fits only with a zero offset of about ({shown}) deg/s, which the vehicle file does not state, and the other "
-            f"readings do not confirm this: if it may be so, {advice_to_set('gyro', {'zero': zero})}"
+            f"the gyro fits only with a zero offset of about {np.degrees(self.size_rad_s):.2g} deg/s, for which the vehicle file "
+            "states no sigma, and the pass is not decided without the gyro: if its zero may be off so, "
+            f"{advice_to_set('gyro', {'zero': zero})}"
         )
 
 
@@ -320,13 +320,13 @@ def denied_by_the_sun(
 
 def unconfirmed_zero(
     observed: Observed, telemetry: xr.Dataset, motion: xr.Dataset, estimators: Estimators
-) -> BetterChanges | UnstatedZero | None:
-    """Return other axes of a gyro, or its zero offset, if only an offset that the file does not state makes it fit; else None.
+) -> BetterChanges | ContradictingSensor | UnstatedZero | None:
+    """Return what is in doubt if a gyro fits only with an offset for which the file states no sigma; None if nothing is.
 
     An unknown offset may make up for wrong axes of a gyro, or for a wrong unit, over a nearly steady rotation. So the pass is
-    estimated without the gyro. If it is decided then, other axes that fit clearly better are named; if none do, and the motion is
-    the same, the offset is confirmed: None. `telemetry`: of one pass. `motion`: its rate `omega_B` with the gyro, and its
-    covariance `omega_cov_B`.
+    estimated without the gyro. If it is not decided then, the offset is in doubt. If it is, other axes that fit clearly better are
+    named, or the gyro if the motion is another one. Else the offset is confirmed: None. `telemetry`: of one pass. `motion`: its
+    rate `omega_B` with the gyro, and its covariance `omega_cov_B`.
     """
     gyro = observed.vehicle.sensors.gyro
     if gyro is None or gyro.zero_sigma.any():
@@ -343,9 +343,9 @@ def unconfirmed_zero(
             return _axes_or_columns(axes, observed, telemetry, estimators)
         off = np.abs(without["omega_B"].values - motion["omega_B"].sel(time=without["time"]).values)
         sigma = np.sqrt(np.einsum("nii->ni", without["omega_cov_B"].values))
-        if (off < CONTRADICTING_SIGMAS * sigma).all():
-            return None
-    return UnstatedZero(np.median(difference, axis=0), gyro)
+        agrees = (off < CONTRADICTING_SIGMAS * sigma).all()
+        return None if agrees else ContradictingSensor(SENSOR_NAMES["gyro_B"])
+    return UnstatedZero(float(np.sqrt((difference**2).mean(axis=0)).max()), gyro)
 
 
 # ------------------------------------------------------------------------------------------------------ columns of panels, wheels
@@ -851,33 +851,37 @@ def _difference_of_gyro(
 def _gyro_squares(motion: xr.Dataset, read: np.ndarray, gyro: Gyro) -> tuple[np.ndarray, float]:
     """Return squared differences (m), in sigmas, of a gyro and a motion, and the price in log likelihood of an offset of the gyro.
 
-    Arguments are those of :func:`_difference_of_gyro`. If the file states no zero offset, the median difference counts as one. If
-    that fits better, the offset also drifts evenly, by as much as the medians of the first and the last third of the readings.
+    Arguments are those of :func:`_difference_of_gyro`. If the file states no sigma of the zero offset, the median difference counts
+    as the offset, up to three of the largest sigmas. If that fits better, the offset also drifts evenly, by as much as the medians
+    of the first and the last third of the readings.
     """
     difference, variance = _difference_of_gyro(motion, read, gyro)
     if gyro.zero_sigma.any() or not len(difference):
         return (difference**2 / variance).sum(axis=1), 0.0
-    zero, precision = np.median(difference, axis=0), (1 / variance).sum(axis=0)
-    price = _price(zero, GYRO_ZEROS, precision)
+    most = 3 * GYRO_ZEROS[0]
+    zero = np.clip(np.median(difference, axis=0), -most, most)
+    precision = (1 / variance).sum(axis=0)
+    price = _price_of_offset(zero, GYRO_ZEROS, precision)
     # the drift from the middle to the end; `share`: from -1 at the first reading to 1 at the last, as if they were evenly spaced
     share, third = np.linspace(-1, 1, len(difference)), -(-len(difference) // 3)
     change = np.median(difference[-third:], axis=0) - np.median(difference[:third], axis=0)
     drift = change / max(float(share[-third:].mean() - share[:third].mean()), 1.0)
     # the mean square of a number that is uniform in [-1, 1] is a third
-    price_of_drift = _price(drift, GYRO_DRIFTS, precision / 3)
+    price_of_drift = _price_of_offset(drift, GYRO_DRIFTS, precision / 3)
     squares = ((difference - zero) ** 2 / variance).sum(axis=1)
     drifting = ((difference - zero - share[:, None] * drift) ** 2 / variance).sum(axis=1)
     gain = (np.minimum(squares, MOST_SQUARE) - np.minimum(drifting, MOST_SQUARE)).sum() / 2
     return (drifting, price + price_of_drift) if gain > price_of_drift else (squares, price)
 
 
-def _price(error: np.ndarray, sizes: Sequence[float], precision: np.ndarray) -> float:
-    """Return minus the log of the prior's share within the uncertainty of an error (3), rad/s, that is known to a `precision` (3).
+def _price_of_offset(offset: np.ndarray, sizes: Sequence[float], precision: np.ndarray) -> float:
+    """Return what a fitted offset (3), rad/s, costs in log likelihood: minus the log of the prior's share within its uncertainty.
 
-    Each component is normal with zero mean; its sigma may be any of the `sizes`, all equally likely.
+    `precision` (3): one over the square of its sigma. Each component is normal with zero mean; its sigma may be any of the `sizes`,
+    all equally likely.
     """
     sigma = np.array(sizes)[:, None]
-    log_shares = -((error / sigma) ** 2 + np.log1p(precision * sigma**2)).sum(axis=1) / 2
+    log_shares = -((offset / sigma) ** 2 + np.log1p(precision * sigma**2)).sum(axis=1) / 2
     return float(np.log(len(sizes)) - np.logaddexp.reduce(log_shares))
 
 

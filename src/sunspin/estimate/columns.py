@@ -7,6 +7,8 @@ If a pass does not fit, other columns are tried on it (:mod:`.column_tests`). On
 three cases: its samples, each by itself, fit other columns far better; or they fit other columns as well, and only the motion shows
 which are right; or the data fit better with a wheel that turns the other way.
 
+If a gyro or a magnetometer fits only with a zero offset that the file does not state, the pass is also estimated without it.
+
 What a result then has:
 
 - attrs["columns_unseen"]: changes that no data of the file distinguish from it; a pass stays decided;
@@ -335,27 +337,38 @@ def _field_compared(
     result: xr.Dataset, observed: Observed, telemetry: xr.Dataset, estimators: Estimators
 ) -> ColumnDoubt | None:
     """Return the magnetometer if the Sun alone shows another motion of the longest decided pass; None if no Sun was read."""
-    decided = np.flatnonzero(result["decided"].values)
-    if not len(decided) or not (observed.panels or "sun_sensor_B" in observed.sensors):
+    if not (observed.panels or "sun_sensor_B" in observed.sensors):
         return None
-    k = _longest(result, decided)
-    of_pass = samples_of(result, telemetry, k)
-    motion = result[["omega_B", "omega_cov_B"]].isel(time=result["pass_of"].values == k)
-    return _doubt_by(denied_by_the_sun(observed.vehicle, of_pass, motion, estimators))
+    compared = _longest_decided_with(result, telemetry, "field_B")
+    if compared is None:
+        return None
+    return _doubt_by(denied_by_the_sun(observed.vehicle, *compared, estimators))
 
 
 def _zero_compared(
     result: xr.Dataset, observed: Observed, telemetry: xr.Dataset, estimators: Estimators
 ) -> ColumnDoubt | None:
-    """Return what else may be wrong if the gyro fits the longest decided pass only with a zero that the file does not state."""
+    """Return what is in doubt if the gyro fits the longest decided pass only with a zero offset that the file does not state."""
+    compared = _longest_decided_with(result, telemetry, "gyro_B")
+    if compared is None or not (observed.panels or observed.sensors - {"gyro_B"}):
+        return None
+    observed_in_pass = what_was_observed(observed.vehicle, compared[0], result.attrs)
+    return _doubt_by(unconfirmed_zero(observed_in_pass, *compared, estimators))
+
+
+def _longest_decided_with(
+    result: xr.Dataset, telemetry: xr.Dataset, name: str
+) -> tuple[xr.Dataset, xr.Dataset] | None:
+    """Return telemetry and motion of the decided pass with most samples, of those in which the variable `name` was read."""
+    read = telemetry["time"].values[np.isfinite(telemetry[name].values).all(axis=1)]
+    with_readings = result["pass_of"].values[np.isin(result["time"].values, read)]
     decided = np.flatnonzero(result["decided"].values)
-    if not len(decided) or not (observed.panels or observed.sensors - {"gyro_B"}):
+    decided = decided[np.isin(decided, with_readings)]
+    if not len(decided):
         return None
     k = _longest(result, decided)
-    of_pass = samples_of(result, telemetry, k)
     motion = result[["omega_B", "omega_cov_B"]].isel(time=result["pass_of"].values == k)
-    observed_in_pass = what_was_observed(observed.vehicle, of_pass, result.attrs)
-    return _doubt_by(unconfirmed_zero(observed_in_pass, of_pass, motion, estimators))
+    return samples_of(result, telemetry, k), motion
 
 
 def _doubt_by(

@@ -222,8 +222,9 @@ def search_under(carrier: Shooting) -> LanderMotions:
     settings = carrier.settings
     if not carrier.starts:
         carrier.announce_starts()
-        found = grid_starts(carrier.model, carrier.reference, settings.grid, carrier.workers)
-        carrier.starts = list(found)
+        carrier.starts = list(
+            grid_starts(carrier.model, carrier.reference, settings.grid, carrier.workers)
+        )
     starts = [
         (window, replace(carrier.model.at_centres(at.omega, at.sun), starts=at.starts))
         for window, at in carrier.starts
@@ -483,10 +484,10 @@ def _verdict_attributes(
     likeliest = max(models, key=lambda what: probability[what])
     if likeliest != AS_STATED:
         share = f"{probability[likeliest]:.2f}"
-        if findings.refused:
+        if findings.refused and not any(doubt.left_out for doubt in findings.doubts):
             size = nominal.prior_words["steady_torque"]  # "turns by up to 300 deg (assumed)"
             text += f"; {likeliest} that {size} does not explain the readings either"
-        else:
+        elif not findings.refused:
             text += f"; an alternative model fits better: {likeliest} (probability {share})"
     if word == "not explained":
         fastest = np.degrees(tree.attrs["searched_rate_rad_s"])

@@ -222,8 +222,7 @@ class AlternativeSettings:
     """Log odds that the zero offset of a gyro differs from the stated one by more than the vehicle file states."""
 
     drift_odds: float = float(np.log(0.2 / 0.8))
-    """Log odds that the zero offset of a gyro drifts within a pass by more than its noise hides, as that of a small one does while
-    its temperature changes."""
+    """Log odds that the zero offset of a gyro drifts noticeably within a pass, as in a small gyro whose temperature changes."""
 
     swings_rad: tuple[float, ...] = (0.15, 0.3, 0.6, 1.2)
     """Sigmas of the turn about each axis between two samples by an oscillation of the body; each is a model of its own."""

@@ -223,7 +223,7 @@ def find_repeated_rows(
         expected = chance.at(t[later] - t[earlier]).sum()
         copies = possible_copies[group[possible_copies]]
         copied[copies] = _exceeds_chance(expected, len(copies))
-        counts.append(Count(expected, len(later), len(copies), copies))
+        counts.append(RepeatCount(expected, len(later), len(copies), copies))
     copied[_beyond_chance_together(counts)] = True
     # 2. Runs of equal neighbours
     repeats, judged, counts = copied.copy(), np.zeros(len(t), dtype=bool), []
@@ -234,7 +234,7 @@ def find_repeated_rows(
         expected = chance.at(t[neighbours] - t[neighbours - 1]).sum()
         equal = equals_previous & group
         n_runs = int((equal[1:] & ~equal[:-1]).sum())  # the first row equals none
-        counts.append(Count(expected, len(neighbours), n_runs, np.flatnonzero(equal)))
+        counts.append(RepeatCount(expected, len(neighbours), n_runs, np.flatnonzero(equal)))
     repeats[_beyond_chance_together(counts)] = True
     # 3. Stretches without enough distinct rows for a probability, in which each row occurs at least twice on average
     for number in np.unique(stretch[equals_previous & ~judged]):
@@ -430,7 +430,7 @@ def _exceeds_chance(expected: float, count: int) -> bool:
     )
 
 
-class Count(NamedTuple):
+class RepeatCount(NamedTuple):
     """Repeats in one group of rows: how many chance makes on average among how many pairs, how many there are, and their rows."""
 
     expected: float
@@ -439,7 +439,7 @@ class Count(NamedTuple):
     rows: np.ndarray
 
 
-def _beyond_chance_together(counts: list[Count]) -> np.ndarray:
+def _beyond_chance_together(counts: list[RepeatCount]) -> np.ndarray:
     """Return the rows (m) that repeat others, of all groups together, if they are too many for chance; else none.
 
     A second ground station adds a copy or two to each pass: too few to judge one pass. Only groups count in which chance makes

@@ -88,9 +88,9 @@ class Shooting:
     def under(self, model: LanderModel) -> Shooting:
         """Return a new search of the same readings under a model with a constant torque."""
         size = self.s.searched_under
-        other = Shooting(model, self.reference, self.settings, self.workers, size)
-        other.starts = self.starts
-        return other
+        under_torque = Shooting(model, self.reference, self.settings, self.workers, size)
+        under_torque.starts = self.starts
+        return under_torque
 
     def _doubt(self, text: str, *, left_out: bool) -> None:
         """Add a doubt, unless it is there; `left_out`: the search has left out motions that may fit."""

@@ -182,8 +182,8 @@ def one_plane(panels: PanelPowers) -> str:
     if blind_axis(panels.response, np.any(panels.used, axis=0)) is None:
         return ""
     return (
-        "the normals of all panels lie in one plane, so each solution has a mirror solution with some signs reversed. A gyro, "
-        "magnetometer or Sun sensor resolves this; inertia or wheels sometimes do"
+        "the normals of all panels with readings lie in one plane, so each solution has a mirror solution with some signs reversed"
+        ". A gyro, magnetometer or Sun sensor resolves this; inertia or wheels sometimes do"
     )
 
 

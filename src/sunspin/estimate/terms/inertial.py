@@ -32,8 +32,8 @@ class GyroRates(Term):
     offset is known. `scale_sigma`: relative sigma of the scale. `zero_stated`: the vehicle file states a sigma of the offset.
     `any_zero`: the sigma may be any of :data:`GYRO_ZEROS`, whose first and largest is `zero_sigma`, as none is stated, or in spite
     of the stated one. `drifts_over`: first and last time (s) of the pass, if the zero offset drifts evenly, with a change from the
-    middle to the end of any of the sizes :data:`GYRO_DRIFTS`; None if it does not drift. `t_s` (n): times of the readings, needed
-    for that alone.
+    middle to the end of any of the sizes :data:`GYRO_DRIFTS`; None if it does not drift. `t_s` (n): times of the readings, for
+    that alone.
     """
 
     name: ClassVar[str] = "gyro"
@@ -41,12 +41,12 @@ class GyroRates(Term):
     per_sample: ClassVar[tuple[str, ...]] = ("rate_B", "t_s")
 
     rate_B: np.ndarray
+    t_s: np.ndarray
     sigma: float
     zero_sigma: np.ndarray
     scale_sigma: float
     zero_stated: bool = True
     any_zero: bool = False
-    t_s: np.ndarray | None = None
     drifts_over: tuple[float, float] | None = None
 
     @classmethod
@@ -62,11 +62,11 @@ class GyroRates(Term):
         part = vehicle.sensors.gyro
         if part is None:
             # the noise is unknown: with a sigma of 1 rad/s the rates hardly count
-            return cls(rate, sigma=1.0, zero_sigma=np.zeros(3), scale_sigma=0.0, t_s=t_s)
+            return cls(rate, t_s, sigma=1.0, zero_sigma=np.zeros(3), scale_sigma=0.0)
         # from sigmas in the unit of the columns to rad/s, and to a relative sigma of the scale
         zero = abs(part.scale_rad_s) * zero_sigmas(part.zero_sigma)
         scale = part.scale_sigma / abs(part.scale_rad_s)
-        gyro = cls(rate, part.noise_rad_s, zero, scale, t_s=t_s)
+        gyro = cls(rate, t_s, part.noise_rad_s, zero, scale)
         return gyro if np.any(zero) else replace(gyro, zero_stated=False).with_any_zero()
 
     def with_any_zero(self) -> Self:
@@ -95,7 +95,7 @@ class GyroRates(Term):
         if self.scale_sigma:
             # in proportion to the rate; the reading is near enough to it
             by_u.append((self.scale_sigma * np.nan_to_num(self.rate_B))[..., None])
-        if self.drifts_over is not None and self.t_s is not None:
+        if self.drifts_over is not None:
             begin, end = self.drifts_over
             # from -1 at the first time to 1 at the last
             drifted = (2 * self.t_s - begin - end) / max(end - begin, 1e-9)
@@ -125,7 +125,7 @@ class GyroRates(Term):
         return (*zeros, *([scale] if self.scale_sigma else []), *drifts)
 
     def residuals(self, states: States, u: np.ndarray) -> Iterator[Residual]:
-        """Yield the predicted less the read rate (K, n, 3) in sigmas. The prediction includes the errors of zero and scale."""
+        """Yield the predicted less the read rate (K, n, 3) in sigmas, with the errors of zero, scale and drift."""
         was_read = self.present()[:, None]
         if not was_read.any():
             return
@@ -141,7 +141,7 @@ class GyroRates(Term):
 
         The rms of what these errors together add to a component of the rate, over samples and axes, is added to `sigma` in squares.
         A zero offset of any size counts as exactly zero. With its largest possible sigma, 3 deg/s (`GYRO_ZEROS`), a gyro would
-        hardly narrow the rates to be searched.
+        hardly narrow the rates to be searched. A drift is left out too.
         """
         zero_sigma = np.zeros(3) if self.any_zero else self.zero_sigma
         by_u = replace(self, zero_sigma=zero_sigma)._reading_by_u  # (n, 3, m) rad/s
