@@ -167,7 +167,7 @@ def test_the_true_motion_is_not_lost_between_the_search_and_the_fit(tmp_path):
     assert np.abs(speed - true).max() < 4 * result["speed_sigma"].values.max()
 
 
-@pytest.mark.long
+@pytest.mark.slow
 @pytest.mark.evidence("rates", "modelled", "a simulated slow spinner with a magnetometer")
 def test_a_motion_that_the_search_lost_in_one_pass_is_found_from_the_rotation_in_another(tmp_path):
     """A steady torque made up for it, and the pass was decided 9 sigma off."""
