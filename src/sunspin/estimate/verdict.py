@@ -219,8 +219,8 @@ class Answers(NamedTuple):
                 if known
                 else "NOT CONSTRAINED (result equals the prior)"
             )
-        # an upper limit is valid only if the model fits and the data constrain the components
-        elif not self.speed.constrained and self.fits:
+        # an upper limit is valid only if the model fits, the data constrain the components and no faster motion is missing
+        elif not self.speed.constrained and self.fits and self.search_complete:
             reasons.append(self.speed.limit)
         if not self.search_complete:
             reasons.append("search incomplete" + (f" ({self.left_open})" if self.left_open else ""))
@@ -389,8 +389,8 @@ def rates_words(result: xr.Dataset) -> str:
         notes.append(
             f"{count_of_passes(count)}: single solution, but not all rate components are constrained"
         )
-    speed_known = result["constrained_speed"].values
-    if count := int((fits & unique & constrained & ~speed_known).sum()):
+    only_limit = ~result["constrained_speed"].values & result["search_complete"].values
+    if count := int((fits & unique & constrained & only_limit).sum()):
         notes.append(
             f"{count_of_passes(count)}: the error of the speed exceeds the speed, so only an upper limit is given"
         )
