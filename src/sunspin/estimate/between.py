@@ -56,19 +56,11 @@ def momentum_sizes(solved: Solutions, body: Body) -> MomentumSizes | None:
     """Return the sizes of the momentum at the middle of a pass; None with wheels, whose momentum may have been another before."""
     if solved.obs.momentum.any():
         return None
-    middle = middle_sample(solved.obs.t_s)
-    omega, covariance = (
-        solved.track.omega[:, middle],
-        solved.track.covariance[:, middle, RATE, RATE],
+    middle, track = middle_sample(solved.obs.t_s), solved.track
+    size, by_rate, by_inertia = body.momentum_size(
+        track.omega[:, middle], track.covariance[:, middle, RATE, RATE], np.zeros(3)
     )
-    momentum = omega @ body.inertia
-    size = np.linalg.norm(momentum, axis=1)
-    along = momentum / np.maximum(size, 1e-12)[:, None]
-    by_rate = along @ body.inertia
-    variance = np.einsum("ki,kij,kj->k", by_rate, covariance, by_rate)
-    by_error = np.einsum("ki,eij,kj->ke", along, body.errors, omega)
-    of_body = SHAPE * size if body.sphere else np.linalg.norm(by_error, axis=1)
-    return MomentumSizes(size, np.sqrt(variance + of_body**2))
+    return MomentumSizes(size, np.hypot(by_rate, SHAPE * size if body.sphere else by_inertia))
 
 
 def link_passes(

@@ -815,7 +815,7 @@ def _contradicts(vehicle: Vehicle, telemetry: xr.Dataset, name: str, motion: xr.
     its panels gave the rate to 3 deg/s, and all readings of the gyro agreed.
     """
     read = telemetry[name].sel(time=motion["time"].values).values
-    squares = _sensor_squares(motion, read, name, vehicle)
+    squares, _ = _sensor_squares(motion, read, name, vehicle)
     # a rate, a field, or a rotation from one attitude to the next: three degrees of freedom
     return not misfit(in_sigma(squares, 3)).fits
 
@@ -825,11 +825,7 @@ def _sensor_cost(motion: xr.Dataset, read: np.ndarray, name: str, vehicle: Vehic
 
     Arguments are those of :func:`_sensor_squares`. An offset of a gyro that the file does not state adds its price.
     """
-    gyro = vehicle.sensors.gyro
-    if name == "gyro_B" and gyro is not None:
-        squares, price = _gyro_squares(motion, read, gyro)
-    else:
-        squares, price = _sensor_squares(motion, read, name, vehicle), 0.0
+    squares, price = _sensor_squares(motion, read, name, vehicle)
     return float(np.minimum(squares, MOST_SQUARE).sum() / 2) + price
 
 
@@ -887,8 +883,10 @@ def _price_of_offset(offset: np.ndarray, sizes: Sequence[float], precision: np.n
 
 def _sensor_squares(
     motion: xr.Dataset, read: np.ndarray, name: str, vehicle: Vehicle
-) -> np.ndarray:
-    """Return squared differences, in sigmas, between a sensor's readings and a motion, their components summed.
+) -> tuple[np.ndarray, float]:
+    """Return squared differences, in sigmas, between a sensor's readings and a motion, and the price of an offset of a gyro.
+
+    The components of a difference are summed. The price, in log likelihood, is zero unless the file does not state the offset.
 
     `motion`: result of `rates` at n samples. `read` (n, 3, or 4 of a quaternion): readings of the variable `name` there, NaN if
     there are none. A gyro has one square for each reading, without its zero offset if the file does not state that. Fields and
@@ -901,7 +899,7 @@ def _sensor_squares(
     known = np.asarray(np.isfinite(read).all(axis=1))
     rate_variance = np.einsum("nii->ni", motion["omega_cov_B"].values)  # (n, 3): the diagonals
     if name == "gyro_B" and sensors.gyro is not None:
-        return _gyro_squares(motion, read, sensors.gyro)[0]
+        return _gyro_squares(motion, read, sensors.gyro)
 
     same_pass = motion["pass_of"].values[1:] == motion["pass_of"].values[:-1]
     pairs = same_pass & known[1:] & known[:-1]
@@ -916,12 +914,12 @@ def _sensor_squares(
         # the field itself turns in space along the orbit (FIELD_TURN), and the attitudes have errors
         motion_variance = ((FIELD_TURN * interval_s) ** 2 + turn_variance) * strength**2
         pair_variance = 2 * magnetometer.noise**2 + motion_variance
-        return ((np.diff(field_N, axis=0) ** 2).sum(axis=1) / pair_variance)[pairs]
+        return ((np.diff(field_N, axis=0) ** 2).sum(axis=1) / pair_variance)[pairs], 0.0
     if name == "attitude_B_from_N" and sensors.attitude is not None:
         read_attitude = Rotation.from_quat(np.where(known[:, None], read, [0.0, 0.0, 0.0, 1.0]))
         # rotation of the body from one sample to the next, as read and of the motion
         turn_read = read_attitude[1:] * read_attitude[:-1].inv()
         turn = attitude[1:] * attitude[:-1].inv()
         angle = (turn_read.inv() * turn).magnitude()
-        return (angle**2 / (2 * sensors.attitude.sigma_rad**2 + turn_variance))[pairs]
-    return np.zeros(0)
+        return (angle**2 / (2 * sensors.attitude.sigma_rad**2 + turn_variance))[pairs], 0.0
+    return np.zeros(0), 0.0

@@ -113,6 +113,22 @@ class Body:
         angle_error = 0.0 if self.sphere else float(np.abs(self.errors).max(initial=0.0))
         return replace(self, errors=self.errors[:0], angle_error=angle_error)
 
+    def momentum_size(
+        self, omega: np.ndarray, covariance: np.ndarray, wheels: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return the size |H| (K) of the angular momentum H = I w + h, and its sigmas (K) by the rate w and by the inertia I.
+
+        `omega` (K, 3) in rad/s, with `covariance` (K, 3, 3); `wheels` (K, 3): h. Momenta are in mean moments times rad/s.
+        """
+        momentum = omega @ self.inertia + wheels
+        size = np.linalg.norm(momentum, axis=1)
+        along = momentum / np.maximum(size, 1e-12)[:, None]
+        # |H| changes by H/|H| . (I dw) with the rate, and by H/|H| . (dI w) with one sigma of each error of the inertia
+        slope = along @ self.inertia
+        by_rate = np.sqrt(np.einsum("ki,kij,kj->k", slope, covariance, slope))
+        by_inertia = np.linalg.norm(np.einsum("ki,eij,kj->ke", along, self.errors, omega), axis=1)
+        return size, by_rate, by_inertia
+
     def inertia_at(self, u: np.ndarray) -> np.ndarray:
         """Return the inertia (K, 3, 3) for errors u (K, e) in sigmas; (3, 3) if the body has no errors."""
         if not len(self.errors):

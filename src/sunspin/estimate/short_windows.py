@@ -167,20 +167,15 @@ def _as_no_free_body(vehicle: Vehicle, telemetry: xr.Dataset, windows: xr.Datase
     if len(use) < FEWEST_WINDOWS or fits.mean() < LEAST_FITTING:
         return ""
     body, omega = Body.of(vehicle), windows["window_omega_B"].values[use]
+    covariance = sigma[use, :, None] ** 2 * np.eye(3)
     times = windows["window_time"].values[use]
     # rows that came late need not be in the order of time
     nearest_row = np.abs(telemetry["time"].values - times[:, None]).argmin(axis=1)
     fast = slow = 0
     # wheels without a measured speed may be held or coast: neither may explain the change
     for wheels in wheel_models(vehicle, telemetry).values():
-        # H = I w + h, in mean moments times rad/s
-        momentum = omega @ body.inertia + wheels[nearest_row]
-        size = np.linalg.norm(momentum, axis=1)
-        along = momentum / np.maximum(size, 1e-12)[:, None]
-        # |H| changes by H/|H| . (I dw) with the rate, and by H/|H| . (dI w) with one sigma of each error of the inertia
-        by_rate = along @ body.inertia * sigma[use]
-        by_inertia = np.einsum("ki,eij,kj->ke", along, body.errors, omega)
-        error = np.sqrt((by_rate**2).sum(1) + (by_inertia**2).sum(1))
+        size, by_rate, by_inertia = body.momentum_size(omega, covariance, wheels[nearest_row])
+        error = np.hypot(by_rate, by_inertia)
         # (window, window) differences in sigmas, and the pair with the largest one
         apart = (size[:, None] - size) / np.hypot(error[:, None], error)
         fast, slow = map(int, np.unravel_index(int(np.argmax(apart)), apart.shape))

@@ -91,16 +91,13 @@ def pivot_series(table: TextTable, time_column: str, names: set[str]) -> Samples
         columns = parts[:1] or nested
         by_part = table.cells[[time_column, series_column, *columns]].drop_duplicates()
         if usual and columns and by_part.duplicated([time_column, series_column]).any():
-            # such as panel xp and metric current_mA
-            names_of_rows = table.cells[series_column].str.strip()
-            joined = table.cells[columns[0]].str.strip() + "." + names_of_rows
-            if small[columns[0]] in LABEL_NAMES or not parts:
-                cells_of_rows = table.cells[columns].to_dict("records")
-                labels = [
-                    {**(row if not parts else _labels_of(row[columns[0]])), "": name}
-                    for row, name in zip(cells_of_rows, names_of_rows, strict=True)
-                ]
-                joined = name_series(labels, "")
+            names_of_rows, first = table.cells[series_column].str.strip(), table.cells[columns[0]]
+            if small[columns[0]] in PART_NAMES:  # such as panel xp and metric current_mA
+                joined = first.str.strip() + "." + names_of_rows
+            else:
+                labels = map(_labels_of, first) if parts else table.cells[nested].to_dict("records")
+                labelled = zip(labels, names_of_rows, strict=True)
+                joined = name_series([{**of_row, "": name} for of_row, name in labelled], "")
             table = table._replace(cells=table.cells.assign(**{series_column: joined}))
     times, series, cells = (
         table.cells[name].str.strip().to_numpy()
