@@ -5,7 +5,8 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 
-from sunspin.dynamics.step import LOST, carry_bodies
+from sunspin.dynamics.kernels.intervals import LOST
+from sunspin.dynamics.step import carry_bodies
 from sunspin.estimate.carry import STEP_RAD, angle_turned, step
 
 RUNS, MOTIONS, INTERVALS = 2, 3, 4

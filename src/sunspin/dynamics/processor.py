@@ -19,6 +19,8 @@ values that a closure holds as keys of its cache. An entry point is written as
     run = _entry(digest(__file__, another_module.__file__))
 
 A function that is called from compiled code must not read environment variables: two processes would share its machine code.
+
+The step of `rates` is not kept in this cache: :mod:`sunspin.dynamics.machine_code`.
 """
 
 from __future__ import annotations
@@ -33,6 +35,7 @@ from typing import Any
 
 import llvmlite.binding as llvm
 from numba import njit as njit
+from numba import types
 from numba.core import config as numba_config
 from numba.core import event, registry
 from numba.core.caching import FunctionCache
@@ -71,6 +74,22 @@ def cached(message: str) -> Callable[[Callable[..., Any]], Any]:
         return entry
 
     return decorate
+
+
+def object_code(function: Callable[..., Any], arrays: str, sizes: int) -> tuple[str, bytes]:
+    """Compile a function that needs neither Python nor numba at run time; return its name in the object code, and that code.
+
+    Its arguments are addresses of `arrays`, a letter for each: "d" of float64, "i" of int64. Then come so many `sizes`, int64. It
+    returns nothing, and may not create arrays, since numba's own library would have to count their references.
+    """
+    elements = {"d": types.float64, "i": types.int64}
+    addresses = [types.CPointer(elements[letter]) for letter in arrays]
+    signature = types.void(*addresses, *[types.int64] * sizes)
+    alone = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True, "_nrt": False}
+    entry: Any = njit(signature, **OPTIONS, **alone)(function)
+    (result,) = entry.overloads.values()
+    _, _, (code, _) = result.library.serialize_using_object_code()
+    return result.fndesc.llvm_func_name, code
 
 
 class _StoredCode(FunctionCache):
