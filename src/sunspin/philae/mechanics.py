@@ -185,8 +185,9 @@ def precession_amplitudes(
         nutation = np.degrees(np.arctan2(np.hypot(H[:, 0], H[:, 1]), H[:, 2]))
         nutation[~H.any(axis=1)] = np.nan  # without angular momentum there is no nutation
         z_axis_N = Rotation.from_quat(motion["B_from_N"].values).inv().apply([0.0, 0.0, 1.0])
-        # cosine of the largest angle between the z axis at any two times
-        least_cosine = (z_axis_N @ z_axis_N.T).min()
+        # cosine of the largest angle between the z axis at any two times; in parts that fit the processor's cache
+        parts = np.array_split(z_axis_N, 1 + len(z_axis_N) // 100)
+        least_cosine = min((part @ z_axis_N.T).min() for part in parts)
         row = {
             "z": _extremes(z),
             "z_first": _extremes(z[first]),
