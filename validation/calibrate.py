@@ -95,7 +95,10 @@ def unknowns_of(vehicle: Vehicle, priors: dict[str, Any], scale: float) -> list[
                 spread = sigma("friction", f"{at}.friction.{key}", value) / value
                 unknowns.append(Unknown(f"log_{kind}{tail}", kind, 0.0, spread, i))
     tensor, stated = np.array(vehicle.require_inertia()), vehicle.facts.get("body.inertia_kg_m2")
-    spreads = np.diag(np.diag(tensor) * float(priors.get("inertia", ASSUMED["inertia"])))
+    moments = np.diag(tensor)
+    # of a moment relative to itself, of a product relative to the mean moment
+    sizes = np.where(np.eye(3, dtype=bool), moments, moments.mean())
+    spreads = sizes * float(priors.get("inertia", ASSUMED["inertia"]))
     if "inertia" not in priors and stated is not None and stated.sigma is not None:
         spreads = np.broadcast_to(np.asarray(stated.sigma, dtype=np.float64), (3, 3))
     for a, b in combinations_with_replacement(range(3), 2):

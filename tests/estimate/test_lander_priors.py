@@ -357,7 +357,7 @@ def test_priors_say_what_they_are_and_where_from():
     assessment = assess(PHILAE, lander_telemetry(100.0 * np.arange(8)))
     window = observe_window(assessment)
     model, said = with_priors(assessment, window, {"inertia": 0.02, "max_rate_rad_s": 0.3})
-    assert said["inertia"] == "0.02 (given) of each moment, products of inertia taken as exact"
+    assert said["inertia"] == "0.02 (given) of each moment, of the mean moment for each product"
     assert said["friction"] == "0.05 (assumed)"
     assert said["rate"] == "uniform in a ball of 0.3 rad/s"
     assert model.max_rate == 0.3

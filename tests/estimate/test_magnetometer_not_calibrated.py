@@ -105,7 +105,7 @@ def test_a_pass_with_an_uncalibrated_magnetometer_is_decided_and_right(uncalibra
     assert result["model"].values[0] == ANOTHER
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_a_motion_that_is_lost_by_believing_an_uncalibrated_magnetometer_is_searched_again():
     """The search that believed it left an alias 12 deg/s off, which the alternative model decided."""
     vehicle, telemetry, truth = pass_and_truth(0, 2, 1)

@@ -155,7 +155,7 @@ def test_a_slow_rotation_is_found_through_a_long_eclipse(tmp_path):
     assert np.nanmin(sigma, axis=0).max() < np.radians(0.02)
 
 
-@pytest.mark.long
+@pytest.mark.slow
 @pytest.mark.evidence("rates", "modelled", "a simulated slow spinner with a magnetometer")
 def test_the_true_motion_is_not_lost_between_the_search_and_the_fit(tmp_path):
     """The fit took half of the field's readings for outliers, and an alias 36 deg/s off was decided."""

@@ -203,7 +203,7 @@ def test_rates_are_right_after_a_wheel_is_braked_and_the_change_is_named(monkeyp
     assert np.ptp(momentum, axis=0).max() > 1e-3
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_a_wheel_that_turns_the_other_way_is_named_though_a_change_of_its_speed_fits():
     """A small change was taken, and the pass decided 25 sigma off."""
     satellite = draw_satellite(91, 29)

@@ -87,7 +87,7 @@ def test_with_measured_telemetry_input_figures_become_tests(quick):
     assert {kinds[name] for name in names.split()} == {"test"}
 
 
-@pytest.mark.long
+@pytest.mark.slow
 def test_entries_that_need_no_telemetry_do_not_change_with_it(quick):
     """A lander that never tumbled: the section on the printed lines stays to the digit, what follows from the telemetry moves."""
     # the points of a coarser grid miss the motion that stands still

@@ -41,8 +41,9 @@ def compiled_function(
     """Return a function by its stored machine code; if none is stored, compile it and store its code.
 
     Without a folder that can be written it is compiled in each process. The function releases Python's lock. Its `arguments`: how
-    many addresses of arrays it takes, and then how many whole numbers. `sources`: the files of this package that it is compiled from. `compile_it`
-    compiles it, and returns its name in the object code, and that code (:func:`sunspin.dynamics.processor.object_code`).
+    many addresses of arrays it takes, and then how many whole numbers. `sources`: the files of this package that it is compiled
+    from. `compile_it` compiles it, and returns its name in the object code, and that code
+    (:func:`sunspin.dynamics.processor.object_code`).
     """
     file = f"{name}-{_digest(sources)}.npz"
     loaded = next(filter(None, (_read(folder / file) for folder in _folders())), None)

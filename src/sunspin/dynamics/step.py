@@ -1,11 +1,11 @@
 """Attitude and rate of many bodies, each over its own interval: the integration of :func:`sunspin.estimate.carry.step`.
 
 The equations are those of a body without torques, with the momentum of its wheels given
-(:mod:`sunspin.dynamics.kernels.intervals`). All wheels count as held, so that A is the inertia with locked wheels. Friction enters through the momentum alone: the caller
-computes how the wheels run down (`wheel_speeds` in :mod:`sunspin.estimate.observe`). The momentum is linear in time from one end of
-the interval to the other, in body axes. The method is that of Runge and Kutta, of fourth order, with steps of fixed length:
-derivatives are computed as differences of runs, and with other steps in each run they would be those of the integration errors.
-Momenta are in units of mean moment of inertia times rad/s.
+(:mod:`sunspin.dynamics.kernels.intervals`). All wheels count as held, so that A is the inertia with locked wheels. Friction enters
+through the momentum alone: the caller computes how the wheels run down (`wheel_speeds` in :mod:`sunspin.estimate.observe`). The
+momentum is linear in time from one end of the interval to the other, in body axes. The method is that of Runge and Kutta, of fourth
+order, with steps of fixed length: derivatives are computed as differences of runs, and with other steps in each run they would be
+those of the integration errors. Momenta are in units of mean moment of inertia times rad/s.
 """
 
 from __future__ import annotations

@@ -94,15 +94,14 @@ class Body:
             errors = np.zeros((0, 3, 3)) if torques_stated else _element_errors(sigma)
             return cls(np.eye(3), errors, sphere=True)
         tensor = np.array(vehicle.inertia_kg_m2)
-        moments = np.diag(tensor)
         fact = vehicle.facts.get("body.inertia_kg_m2")
         if fact is not None and fact.sigma is not None:
             # one sigma for all elements, or one for each
             sigma = np.broadcast_to(np.asarray(fact.sigma, dtype=np.float64), (3, 3))
         else:
-            # of a moment relative to itself, of a product relative to the mean moment
-            sigma = INERTIA * np.where(np.eye(3, dtype=bool), np.diag(moments), moments.mean())
-        return cls(tensor / moments.mean(), _element_errors(sigma) / moments.mean())
+            sigma = inertia_sigma(tensor, INERTIA)
+        mean_moment = np.trace(tensor) / 3
+        return cls(tensor / mean_moment, _element_errors(sigma) / mean_moment)
 
     def for_search(self) -> Body:
         """Return the body with a fixed inertia, whose largest error becomes `angle_error`.
@@ -163,6 +162,15 @@ class Body:
             Unknown(f"inertia_{i}", "inertia", "1", 0.0, float(size), i, INERTIA_SIGMAS, shares)
             for i, size in enumerate(sizes)
         )
+
+
+def inertia_sigma(tensor: np.ndarray, relative: float) -> np.ndarray:
+    """Return the sigmas (3, 3) of the elements of an inertia tensor for one relative sigma.
+
+    It is that of each moment, and times the mean moment that of each product: a product of zero is not known exactly.
+    """
+    moments = np.diag(tensor)
+    return relative * np.where(np.eye(3, dtype=bool), moments, moments.mean())
 
 
 def _element_errors(sigma: np.ndarray) -> np.ndarray:

@@ -43,7 +43,7 @@ from sunspin.estimate.lander.verdict import (
     posterior_words,
 )
 from sunspin.estimate.lander.window import Window, observe_window
-from sunspin.estimate.model import AS_STATED
+from sunspin.estimate.model import AS_STATED, inertia_sigma
 from sunspin.estimate.observe import wheels_of_unknown_speed
 from sunspin.estimate.periods import PeriodSeen
 from sunspin.estimate.search import search
@@ -375,9 +375,10 @@ def _nothing_drawn(model: LanderModel) -> InputError:
     if possible < FEW_BODIES:
 
         def with_inertia_sigma(sigma: float) -> LanderModel:
-            """Return the model in which each element of the inertia has this sigma, relative to the element."""
+            """Return the model in which the inertia has this relative sigma."""
+            sigmas = inertia_sigma(np.array(model.vehicle.require_inertia()), sigma).ravel()
             unknowns = (
-                replace(x, sigma=sigma * abs(x.centre)) if x.kind == "inertia" else x
+                replace(x, sigma=sigmas[x.index]) if x.kind == "inertia" else x
                 for x in model.of_motion
             )
             return replace(model, of_motion=tuple(unknowns))

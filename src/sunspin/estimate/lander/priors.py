@@ -12,7 +12,7 @@ from sunspin.base.errors import InputError
 from sunspin.dynamics import batch
 from sunspin.estimate.lander.model import LanderModel
 from sunspin.estimate.lander.window import Window, with_unknowns
-from sunspin.estimate.model import Unknown
+from sunspin.estimate.model import Unknown, inertia_sigma
 from sunspin.estimate.settings import (
     BRIGHTNESS_FREE,
     BRIGHTNESS_KNOWN,
@@ -287,9 +287,9 @@ def _wheel_unknowns(vehicle: Vehicle, mode: Any, sources: Sources) -> list[Unkno
 def _inertia_unknowns(vehicle: Vehicle, sources: Sources) -> list[Unknown]:
     """Return the six elements of the inertia (kg m2) as unknowns.
 
-    Their sigmas are those of the vehicle file, if it states any. Otherwise the three moments have one relative sigma, and the
-    products of inertia have none. With the probability `LOOSER_CHANCE` all sigmas are `LOOSER_INERTIA` times larger, because the
-    inertia in the file is wrong.
+    Their sigmas are those of the vehicle file, if it states any. Otherwise one relative sigma is that of each moment, and times the
+    mean moment that of each product of inertia, as in `rates`. With the probability `LOOSER_CHANCE` all sigmas are `LOOSER_INERTIA`
+    times larger, because the inertia in the file is wrong.
     """
     tensor = np.array(vehicle.require_inertia())
     fact = vehicle.facts.get("body.inertia_kg_m2")
@@ -297,8 +297,8 @@ def _inertia_unknowns(vehicle: Vehicle, sources: Sources) -> list[Unknown]:
         sources.in_words["inertia"] = STATED
         sigma = np.broadcast_to(np.asarray(fact.sigma, dtype=np.float64), (3, 3))
     else:
-        sigma = np.diag(sources.sigma("inertia", None, INERTIA) * np.diag(tensor))
-        sources.in_words["inertia"] += " of each moment, products of inertia taken as exact"
+        sigma = inertia_sigma(tensor, sources.sigma("inertia", None, INERTIA))
+        sources.in_words["inertia"] += " of each moment, of the mean moment for each product"
     return [
         Unknown(
             f"inertia_{'xyz'[a]}{'xyz'[b]}",
