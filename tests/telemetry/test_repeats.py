@@ -143,6 +143,22 @@ def test_one_copy_in_each_of_many_short_passes_is_left_out(late_s):
     assert np.array_equal(looked_at(t, value).repeats.frozen, copies)
 
 
+@pytest.mark.parametrize("every", [20, 2], ids=["one copy", "many"])
+def test_a_beacon_that_a_second_station_hears_seconds_later_is_left_out(every):
+    """Its counts are as coarse as those of a slow body, so that chance alone does not show the copies."""
+    t, value = tumbling(30, rate=0.4, apart=45.0, step=COUNT)
+    t, value, copies = with_copies(t, value, 1.5, every)
+    assert np.array_equal(looked_at(t, value).repeats.frozen, copies) and copies.any()
+
+
+def test_frames_that_a_slow_body_sends_in_pairs_are_kept_if_some_pairs_differ():
+    t, value = tumbling(450, rate=0.02, apart=3.0, noise=0.0, step=COUNT)
+    kept = np.arange(450) % 15 < 2  # two 3 s apart, in each 45 s
+    rows = value[kept]
+    assert 0.5 < (rows[1::2] == rows[::2]).all(axis=1).mean() < 0.9
+    assert not looked_at(t[kept], rows).repeats.frozen.any()
+
+
 @pytest.mark.parametrize("times", [2, 5])
 def test_held_samples_are_left_out_and_their_number_is_reported(times):
     t, value = tumbling(40, apart=10.0, step=COUNT)

@@ -35,6 +35,12 @@ COPY_SPAN_S = 60.0
 """Largest interval between a frame and its copy, or two median intervals if these are longer. Clocks and delays of ground stations
 differ by seconds."""
 
+STATION_DELAY_S = 10.0
+"""Largest interval between the same frame from two ground stations, for equal rows that follow each other."""
+
+APART = 0.25
+"""Such rows follow each other within this share of the intervals before and after them."""
+
 LONGEST_LOOP = 10
 """Largest interval, in median intervals, between a frame and its copy if readings are noisy: a buffer may repeat its frames."""
 
@@ -236,6 +242,10 @@ def find_repeated_rows(
         n_runs = int((equal[1:] & ~equal[:-1]).sum())  # the first row equals none
         counts.append(RepeatCount(expected, len(neighbours), n_runs, np.flatnonzero(equal)))
     repeats[_beyond_chance_together(counts)] = True
+    neighbours = np.flatnonzero(usable)
+    place = np.searchsorted(neighbours, index)
+    intervals = np.diff(time[neighbours], prepend=-np.inf, append=np.inf)
+    repeats |= _from_two_stations(equals_previous, adjacent, intervals[place], intervals[place + 1])
     # 3. Stretches without enough distinct rows for a probability, in which each row occurs at least twice on average
     for number in np.unique(stretch[equals_previous & ~judged]):
         in_stretch = stretch == number
@@ -473,9 +483,7 @@ def _runs_beyond_chance(
         return by_run
     neighbours = np.flatnonzero(adjacent)
     equal_by_chance = chance.at(t[neighbours] - t[neighbours - 1])
-    # first and last sample of each run; the first does not equal the one before
-    begins = np.flatnonzero(equals_previous & ~np.concatenate([[False], equals_previous[:-1]])) - 1
-    ends = np.flatnonzero(equals_previous & ~np.concatenate([equals_previous[1:], [False]]))
+    begins, ends = _runs(equals_previous)
     if _exceeds_chance(equal_by_chance.sum(), len(begins)):
         return equals_previous
     between = np.minimum(ends - begins - 1, MOST_COUNTED)
@@ -484,6 +492,44 @@ def _runs_beyond_chance(
         if SAFETY * len(neighbours) * probability < BY_CHANCE:
             by_run[begin + 1 : end + 1] = True
     return by_run
+
+
+def _runs(equals_previous: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the first and the last sample of each run of equal ones; the first does not equal the one before."""
+    begins = np.flatnonzero(equals_previous & ~np.concatenate([[False], equals_previous[:-1]])) - 1
+    ends = np.flatnonzero(equals_previous & ~np.concatenate([equals_previous[1:], [False]]))
+    return begins, ends
+
+
+def _from_two_stations(
+    equals_previous: np.ndarray, adjacent: np.ndarray, before_s: np.ndarray, after_s: np.ndarray
+) -> np.ndarray:
+    """Return the samples (n) that equal the one before because another ground station received the same frame.
+
+    A beacon sends at even intervals. Equal rows seconds apart, with longer intervals before and after, are one frame, if hardly any
+    other neighbours so close differ. Chance does not show it, as a slow body would hardly turn within these seconds. But if a fast
+    one is taken as slow between them, a wrong number of revolutions fits.
+
+    Parameters
+    ----------
+    equals_previous, adjacent : (n)
+        As for :func:`_runs_beyond_chance`.
+    before_s, after_s : (n)
+        Intervals to the neighbours in the file, s; infinite at its ends.
+    """
+    copies = np.zeros(len(before_s), dtype=bool)
+    begins, ends = _runs(equals_previous)
+    inside = np.concatenate([[0.0], np.cumsum(np.where(equals_previous, before_s, 0.0)[1:])])
+    duration = inside[ends] - inside[begins]
+    around = np.minimum(before_s[begins], after_s[ends])
+    close = np.isfinite(around) & (duration <= np.minimum(STATION_DELAY_S, APART * around))
+    if not close.any():
+        return copies
+    others = adjacent & ~equals_previous & (before_s <= duration[close].max())
+    if others.sum() <= MOST_RIGHT * close.sum():
+        for begin, end in zip(begins[close], ends[close], strict=True):
+            copies[begin + 1 : end + 1] = True
+    return copies
 
 
 def _find_held_columns(time: np.ndarray, value: np.ndarray, fresh: np.ndarray) -> np.ndarray:
