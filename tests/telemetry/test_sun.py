@@ -6,9 +6,11 @@ from scipy.optimize import minimize
 from scipy.stats import chi2, kstest
 
 import sunspin as ss
+from sunspin.telemetry.assess import assess
 from sunspin.telemetry.sun import SunStatus, is_reconstructed, reconstructible_patterns
 from sunspin.vehicle import Panel, Vehicle
 from sunspin.vehicle.response.panels import lit_patterns, panel_power
+from tests.support.simulate import telemetry_of
 from tests.support.vehicles import directions
 
 
@@ -219,3 +221,18 @@ def test_direction_covariance_covers_over_all_directions():
         held = np.mean(square < chi2(2).ppf(level))
         assert held == pytest.approx(level, abs=4 * np.sqrt(level * (1 - level) / len(square)))
     assert kstest(square, chi2(2).cdf).statistic < 1.95 / np.sqrt(len(square))  # the 0.1 % point
+
+
+def test_small_panels_of_a_body_with_wings_count_as_lit_in_the_light_of_the_earth():
+    """The Earth lights each panel with the same share of its full Sun: the largest one sets no threshold for the others."""
+    normals = np.concatenate([np.eye(3), -np.eye(3)])
+    gains = np.array([1.0, 1.0, 0.2, 1.0, 1.0, 0.2])
+    panels = [Panel(str(k), normals[k], gain=gains[k]) for k in range(6)]
+    craft = Vehicle("wings", panels=panels)
+    sun = directions(200)
+    value = gains * (np.maximum(sun @ normals.T, 0) + 0.15 * np.maximum(-sun @ normals.T, 0))
+    found = assess(craft, telemetry_of(craft, 30.0 * np.arange(200), value)).sun
+    threshold = found["lit_threshold"].values / gains
+    assert np.ptp(threshold) < 1e-9 and 0.2 < threshold[0] < 0.4
+    clear = (np.abs(sun) > 0.4).all(axis=1)
+    assert clear.sum() > 20 and is_reconstructed(found["status"].values)[clear].all()

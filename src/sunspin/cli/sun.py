@@ -42,7 +42,7 @@ def sun(vehicle, telemetry, noise, threshold, output) -> None:
             craft,
             samples,
             noise=noise,
-            lit_threshold=threshold or assessment.lit_threshold,
+            lit_threshold=assessment.lit_threshold if threshold is None else threshold,
             quality=assessment.quality,
         )
     output.deliver(directions, vehicle, samples)

@@ -127,25 +127,26 @@ class Assessment:
         return np.full(value.shape[1], sigma), ASSUMED_FROM if dark is None else DARK_FROM
 
     @cached_property
-    def lit_threshold(self) -> float | None:
-        """Reading, in its unit, above which the Sun and not the Earth lights a panel: twice the light on unlit panels.
+    def lit_threshold(self) -> np.ndarray | None:
+        """Readings (n_panel), in their unit, above which the Sun and not the Earth lights a panel: twice the light on unlit panels.
 
         None if the vehicle file states a threshold, too few readings show the light on unlit panels, or this light is below six
-        sigma of noise.
+        sigma of noise. That is judged on the panel with the largest gain.
         """
         if self.vehicle.telemetry.lit_threshold is not None:
             return None
         if self.telemetry.sizes["time"] < DEAD_SAMPLES:
             return None
         quality = self.quality.attrs
-        # for the panel with the largest gain, as the threshold is one for all
-        unlit_light = (
-            quality["albedo"] * quality["full_sun"] * float(self.vehicle.input_gains.max())
-        )
+        unlit_light = quality["albedo"] * quality["full_sun"] * self.vehicle.input_gains
+        noise = LIT_SIGMAS * self.quality["noise"].values.max()
         # twice the three sigma of noise from which a panel counts as lit without this threshold
-        above_noise = unlit_light > SURELY_LIT * LIT_SIGMAS * self.quality["noise"].values.max()
+        above_noise = unlit_light.max() > SURELY_LIT * noise
         enough_readings = quality["albedo_samples"] >= DEAD_SAMPLES
-        return SURELY_LIT * unlit_light if enough_readings and above_noise else None
+        if not (enough_readings and above_noise):
+            return None
+        # a panel with a small gain gets little light from the Earth, but has the noise of the others
+        return np.asarray(np.maximum(SURELY_LIT * unlit_light, noise))
 
     @cached_property
     def sun(self) -> xr.Dataset:
