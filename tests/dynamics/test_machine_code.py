@@ -4,6 +4,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from sunspin.dynamics import machine_code, step
@@ -47,6 +48,17 @@ def test_stored_code_is_loaded_without_numba_and_damaged_code_is_compiled_again(
     # one bit of the code
     stored.write_bytes(whole[:3000] + bytes([whole[3000] ^ 1]) + whole[3001:])
     assert step_in_process(tmp_path / "new") == (result, True)
+
+
+def test_a_bit_that_calls_the_archive_encrypted_or_of_another_version_is_damage(tmp_path):
+    file = tmp_path / "code.npz"
+    np.savez(file, symbol=np.array("step"), code=np.zeros(9, np.uint8))
+    assert machine_code._read(file) == ("step", bytes(9))
+    whole = file.read_bytes()
+    entry = whole.index(b"PK\x01\x02")  # of the central directory
+    for byte in (6, 8, 10):  # version, flags, method
+        file.write_bytes(whole[: entry + byte] + b"\x61" + whole[entry + byte + 1 :])
+        assert machine_code._read(file) is None
 
 
 def test_a_folder_that_cannot_be_written_costs_time_only(tmp_path, step_in_process):

@@ -17,6 +17,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from functools import partial
 from importlib import metadata
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 from zipfile import BadZipFile
@@ -83,7 +84,9 @@ def _folders() -> Iterator[Path]:
 
 def _read(path: Path) -> tuple[str, bytes] | None:
     """Return the name of a function in its object code, and that code; None if there is no file, or not a whole one."""
-    with suppress(OSError, ValueError, KeyError, EOFError, BadZipFile), np.load(path) as stored:
+    # RuntimeError: damaged bits say that the archive is encrypted, or of a version that Python does not know
+    faults = (OSError, ValueError, KeyError, EOFError, BadZipFile, RuntimeError)
+    with suppress(*faults), np.load(BytesIO(path.read_bytes())) as stored:
         return str(stored["symbol"]), stored["code"].tobytes()
     return None
 
