@@ -22,7 +22,7 @@ from sunspin.vehicle import Panel, TelemetryForm, Vehicle
 from sunspin.vehicle.parts import Fact
 from sunspin.vehicle.response.panels import panel_power
 from tests.support.simulate import telemetry_of
-from tests.support.vehicles import CUBE_NORMALS, directions
+from tests.support.vehicles import CUBE_NORMALS, CUBE_OF_CURRENTS, directions
 
 PHILAE = ss.load_vehicle("philae")
 SIGMA = 4.0  # of readings whose full scale is 254: the committed telemetry's relation
@@ -245,3 +245,13 @@ def test_power_limited_samples_call_no_panel_dead_that_was_never_lit():
     data = telemetry_of(craft, 10.0 * np.arange(60), power)
     assert panel_quality(craft, data)["dead"].values.tolist() == [k == 2 for k in range(6)]
     assert not panel_quality(craft, data)["missed"].any()
+
+
+@pytest.mark.parametrize("n", [1, 2])
+def test_one_or_two_samples_call_no_panel_lost(n):
+    """A first beacon, or a pass that ends in the shadow: a full battery explains it, and no path of the Sun speaks against it."""
+    sun = np.tile([0.19, -0.2, 0.96], (n, 1))
+    power = ss.panel_power(CUBE_OF_CURRENTS, sun)
+    power[:, power[0].argmax()] = 0.0
+    data = telemetry_of(CUBE_OF_CURRENTS, 30.0 * np.arange(n), power)
+    assert not panel_quality(CUBE_OF_CURRENTS, data)["missed"].any()

@@ -164,18 +164,19 @@ def _explained_by_battery(
     dimmed = _fit_dimmed((readings / sigma)[:, ~lost], (light / sigma)[:, ~lost])
     if (dimmed.square - fit.square)[fit.missing].sum() > CLEAR_CHI2:
         return False
-    bend_if_lost = _bend(t_s, fit.sun, fit.missing)
-    bend_if_dimmed = _bend(t_s, dimmed.sun, fit.missing)
-    bend_ratio = bend_if_lost / max(bend_if_dimmed, 1e-9)
-    if bend_ratio > ROUGHER_RATIO:
-        return True
-    every_sample = np.ones(len(readings))
-    dimmed_path_can_be_followed = _bend(t_s, dimmed.sun, every_sample) < FOLLOWED_CHORD * len(
-        readings
-    )
-    # samples so close that the path can be followed would bend clearly more under a wrong loss: here they do not
-    if bend_ratio < SMOOTHER_RATIO or dimmed_path_can_be_followed:
-        return False
+    if len(t_s) > 2:  # a path of two samples does not bend
+        bend_if_lost = _bend(t_s, fit.sun, fit.missing)
+        bend_if_dimmed = _bend(t_s, dimmed.sun, fit.missing)
+        bend_ratio = bend_if_lost / max(bend_if_dimmed, 1e-9)
+        if bend_ratio > ROUGHER_RATIO:
+            return True
+        every_sample = np.ones(len(readings))
+        dimmed_path_can_be_followed = _bend(t_s, dimmed.sun, every_sample) < FOLLOWED_CHORD * len(
+            readings
+        )
+        # samples so close that the path can be followed would bend clearly more under a wrong loss: here they do not
+        if bend_ratio < SMOOTHER_RATIO or dimmed_path_can_be_followed:
+            return False
     # the path cannot be followed: how often would the remaining samples miss the panel, too, if they were dimmed as much?
     level = np.median(dimmed.brightness[fit.missing])
     control = level * readings[~fit.missing & ~fit.unexplained]
