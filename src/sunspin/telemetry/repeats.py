@@ -159,7 +159,9 @@ def find_repeats(telemetry: xr.Dataset, value: np.ndarray | None, usable: np.nda
     all_columns = np.column_stack(list(readings.values()))
     usable = usable & np.isfinite(all_columns).any(axis=1)
     any_signal = np.logical_or.reduce(list(signal.values()))
-    frozen = find_repeated_rows(time, all_columns, any_signal, usable)
+    copied = _from_two_stations(time, all_columns, usable)
+    usable = usable & ~copied
+    frozen = find_repeated_rows(time, all_columns, any_signal & usable, usable)
     rest, doubtful = usable & ~frozen.repeated, frozen.doubtful
     held: dict[str, np.ndarray] = {}
     if len(readings) > 1:  # with one sensor, held values are frozen samples
@@ -173,7 +175,7 @@ def find_repeats(telemetry: xr.Dataset, value: np.ndarray | None, usable: np.nda
     doubtful_rows = np.where(np.isfinite(all_columns), all_columns, NONE)[doubtful]
     n_distinct = len(np.unique(doubtful_rows, axis=0))
     times_each = round(doubtful.sum() / max(n_distinct, 1))
-    return Repeats(frozen.repeated, held, held_columns, doubtful, times_each)
+    return Repeats(copied | frozen.repeated, held, held_columns, doubtful, times_each)
 
 
 def find_repeated_rows(
@@ -242,10 +244,6 @@ def find_repeated_rows(
         n_runs = int((equal[1:] & ~equal[:-1]).sum())  # the first row equals none
         counts.append(RepeatCount(expected, len(neighbours), n_runs, np.flatnonzero(equal)))
     repeats[_beyond_chance_together(counts)] = True
-    neighbours = np.flatnonzero(usable)
-    place = np.searchsorted(neighbours, index)
-    intervals = np.diff(time[neighbours], prepend=-np.inf, append=np.inf)
-    repeats |= _from_two_stations(equals_previous, adjacent, intervals[place], intervals[place + 1])
     # 3. Stretches without enough distinct rows for a probability, in which each row occurs at least twice on average
     for number in np.unique(stretch[equals_previous & ~judged]):
         in_stretch = stretch == number
@@ -501,34 +499,32 @@ def _runs(equals_previous: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return begins, ends
 
 
-def _from_two_stations(
-    equals_previous: np.ndarray, adjacent: np.ndarray, before_s: np.ndarray, after_s: np.ndarray
-) -> np.ndarray:
+def _from_two_stations(time: np.ndarray, value: np.ndarray, usable: np.ndarray) -> np.ndarray:
     """Return the samples (n) that equal the one before because another ground station received the same frame.
 
     A beacon sends at even intervals. Equal rows seconds apart, with longer intervals before and after, are one frame, if hardly any
     other neighbours so close differ. Chance does not show it, as a slow body would hardly turn within these seconds. But if a fast
-    one is taken as slow between them, a wrong number of revolutions fits.
+    one is taken as slow between them, a wrong number of revolutions fits. Rows of dim light count too, those of zeros do not.
 
-    Parameters
-    ----------
-    equals_previous, adjacent : (n)
-        As for :func:`_runs_beyond_chance`.
-    before_s, after_s : (n)
-        Intervals to the neighbours in the file, s; infinite at its ends.
+    `time` (n, s), `value` (n, n_column) and `usable` (n): as for :func:`find_repeated_rows`.
     """
-    copies = np.zeros(len(before_s), dtype=bool)
+    copies = np.zeros(len(time), dtype=bool)
+    index = np.flatnonzero(usable)
+    t, rows = time[index], np.where(np.isfinite(value[index]), value[index], NONE)
+    known_light = ((rows != 0) & (rows != NONE)).any(axis=1)
+    equals_previous = np.zeros(len(t), dtype=bool)
+    equals_previous[1:] = (rows[1:] == rows[:-1]).all(axis=1) & known_light[1:]
     begins, ends = _runs(equals_previous)
-    inside = np.concatenate([[0.0], np.cumsum(np.where(equals_previous, before_s, 0.0)[1:])])
-    duration = inside[ends] - inside[begins]
-    around = np.minimum(before_s[begins], after_s[ends])
+    intervals = np.diff(t, prepend=-np.inf, append=np.inf)
+    around = np.minimum(intervals[begins], intervals[ends + 1])
+    duration = t[ends] - t[begins]
     close = np.isfinite(around) & (duration <= np.minimum(STATION_DELAY_S, APART * around))
     if not close.any():
         return copies
-    others = adjacent & ~equals_previous & (before_s <= duration[close].max())
+    others = ~equals_previous & (intervals[:-1] <= duration[close].max())
     if others.sum() <= MOST_RIGHT * close.sum():
         for begin, end in zip(begins[close], ends[close], strict=True):
-            copies[begin + 1 : end + 1] = True
+            copies[index[begin + 1 : end + 1]] = True
     return copies
 
 
