@@ -152,6 +152,13 @@ def test_a_beacon_that_a_second_station_hears_seconds_later_is_left_out(every):
     assert np.array_equal(looked_at(t, value).repeats.frozen, copies) and copies.any()
 
 
+def test_copies_a_second_later_do_not_hide_that_times_are_rounded():
+    t, value = tumbling(30, rate=0.4, apart=45.0, step=COUNT)
+    files = [(np.round(t), value), with_copies(np.round(t), value, 1.0, 5)[:2]]
+    sigmas = [observe(looked_at(*each)).obs.time_sigma_s for each in files]
+    assert sigmas == pytest.approx([1 / np.sqrt(12)] * 2)
+
+
 def test_frames_that_a_slow_body_sends_in_pairs_are_kept_if_some_pairs_differ():
     t, value = tumbling(450, rate=0.02, apart=3.0, noise=0.0, step=COUNT)
     kept = np.arange(450) % 15 < 2  # two 3 s apart, in each 45 s

@@ -153,8 +153,8 @@ def observe(
         None if clock is None else Latency(clock.late_s, clock.sigma_s),
     )
     terms = [term for term in terms if term is not None]
-    # an error that is uniform over the unit has the variance unit^2 / 12
-    time_sigma_s = rounded_to_s(t_s) / np.sqrt(12)
+    # an error that is uniform over the unit has the variance unit^2 / 12; a copy seconds later is no interval of the device
+    time_sigma_s = rounded_to_s(t_s[~assessment.repeats.frozen]) / np.sqrt(12)
     obs = Observations(t_s, np.zeros((len(t_s), 3)), tuple(terms), time_sigma_s)
     return FileReadings(obs, why, source)
 
