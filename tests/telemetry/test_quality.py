@@ -1,5 +1,7 @@
 """Faulty panel readings: each fault is detected, modelled and reported. The telemetry is synthetic."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -137,3 +139,14 @@ def test_albedo_is_estimated_from_panels_opposite_to_lit_ones():
     # 84 % point of a uniform law up to 0.2
     assert quality.attrs["albedo"] == pytest.approx(0.168, abs=0.03)
     assert panel_quality(CUBE, telemetry(value[:3])).attrs["albedo"] == ALBEDO_DEFAULT
+
+
+def test_noise_of_dark_panels_is_no_fill_value_if_most_samples_lie_in_the_shadow():
+    rng = np.random.default_rng(2)
+    value = clean(100)[0]
+    value[:75] = 0.0
+    value = np.round(value + 0.006 * rng.normal(size=value.shape), 3)
+    value[80, 1] = -1.0  # a fill value still is one
+    craft = replace(CUBE, telemetry=replace(CUBE.telemetry, noise=None))
+    why = panel_quality(craft, telemetry(value))["why"].values
+    assert [k for k in range(100) if "negative" in str(why[k])] == [80]

@@ -166,6 +166,9 @@ def lowest_reading(vehicle: Vehicle, values: np.ndarray) -> float | np.ndarray:
     # full light: the largest reading of a bright sample, without wild ones
     largest = np.where(np.isfinite(values), values, 0.0).max(axis=1, initial=0.0)
     lit = largest[largest > 0]
+    # most samples may lie in the Earth's shadow, where the largest reading is noise as well: lit ones are above it
+    above_noise = lit[lit > NEGATIVE_SIGMAS * float(np.median(below)) / HALF_NORMAL_MEDIAN]
+    lit = above_noise if len(above_noise) else lit
     full = 0.0
     if len(lit):
         full = float(np.quantile(lit[lit <= WILD * np.median(lit)], BRIGHT_QUANTILE))
