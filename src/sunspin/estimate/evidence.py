@@ -70,8 +70,9 @@ def ladder(
 
     A rung is one strength, rad/s^1.5. The path up fits `first_rung` and the rungs above it, then the path down fits those below.
     Each fit begins where the one before ended, since a motion hardly moves in a fit under weak torques. A path ends at a hopeless
-    rung: the log evidence of its best motion is more than `s.hopeless` below that of the best rung so far, or below `rival`, that
-    of another model. `search_settings`: which motions are copies of each other, and how many are kept.
+    rung: the log evidence of its best motion is more than `s.hopeless` below that of the best rung so far. It ends too if it is as
+    far below `rival`, the log evidence of another model, and did not rise from the rung before. `search_settings`: which motions
+    are copies of each other, and how many are kept.
 
     If the first rung is hopeless compared with those above, its fit may have stopped short of the minimum. Then the path down
     begins at the highest rung reached, and fits all rungs below it again. Without this an alias was decided in one pass, whose file
@@ -93,6 +94,7 @@ def ladder(
         `fits` they are summed over the possible sizes of their prior sigmas (`sum_over_shares`), for the return value they are not.
         """
         last, last_rung = begin, begin_rung
+        log_before = float(begin.log_evidence.max(initial=-np.inf))
         for rung in path:
             # Rungs are farther apart than a motion can follow. So strengths between two rungs are fitted too: each differs from the
             # one before by a factor of `cooling` at most. 1e-9: a ratio of exactly `cooling` is one step, however it is rounded.
@@ -114,9 +116,13 @@ def ladder(
             if not len(last):
                 break
             fits[rung] = summed
-            best = max(rival, *(float(fitted.log_evidence.max()) for fitted in fits.values()))
-            if summed.log_evidence.max() < best - s.hopeless:
+            # A model with a step of the rate needs weaker torques than the nominal one, and rises far on the way there. Without
+            # looking whether it rises, the true interval of a step was given up, and its neighbour decided 7 sigma off.
+            best = max(float(fitted.log_evidence.max()) for fitted in fits.values())
+            log_now = float(summed.log_evidence.max())
+            if log_now < best - s.hopeless or log_now < min(log_before, rival - s.hopeless):
                 break
+            log_before = log_now
         return last, last_rung
 
     above = [rung for rung in sorted(s.rungs) if rung > first_rung]
