@@ -224,6 +224,9 @@ class AlternativeSettings:
     drift_odds: float = float(np.log(0.2 / 0.8))
     """Log odds that the zero offset of a gyro drifts noticeably within a pass, as in a small gyro whose temperature changes."""
 
+    gyro_scale_sigma: float = 0.02
+    """Relative sigma of the scale of a gyro for which the vehicle file states none."""
+
     swings_rad: tuple[float, ...] = (0.15, 0.3, 0.6, 1.2)
     """Sigmas of the turn about each axis between two samples by an oscillation of the body; each is a model of its own."""
 

@@ -78,8 +78,8 @@ class GyroRates(Term):
         return replace(self, drifts_over=over_s)
 
     def with_errors_of(self, fitted: Self) -> Self:
-        """Return the gyro with the drift that is an unknown in a fitted model."""
-        return replace(self, drifts_over=fitted.drifts_over)
+        """Return the gyro with the drift and the error of the scale that are unknowns in a fitted model."""
+        return replace(self, drifts_over=fitted.drifts_over, scale_sigma=fitted.scale_sigma)
 
     def present(self) -> np.ndarray:
         """Return which samples (n) have a rate."""
