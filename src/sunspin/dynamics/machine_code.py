@@ -52,7 +52,7 @@ def compiled_function(
     if loaded is None:
         _store(file, symbol, code)
     # numba's convention: a function returns a status, and first takes two more addresses, for its result and its error. This one
-    # has neither: the status is zero, and no address is written to both.
+    # has neither: the status is zero, and null is written to both.
     addresses, numbers = arguments
     kinds = [ctypes.c_void_p] * (2 + addresses) + [ctypes.c_int64] * numbers
     function = ctypes.CFUNCTYPE(ctypes.c_int32, *kinds)(_link(symbol, code))
