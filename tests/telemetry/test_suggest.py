@@ -604,6 +604,12 @@ def test_a_multiple_in_the_unit_of_a_column_is_the_scale(unit, scale):
     assert (form.quantity, form.scale) == ("current_A", pytest.approx(scale))
 
 
+@pytest.mark.parametrize("unit", ["Zähler", "cuentas", "digits", "DN"])
+def test_a_unit_of_counts_in_another_language_is_one(unit):
+    form = Begun(f"time,I +X ({unit}),I -X ({unit})\n2026-01-01,2000,300\n").form
+    assert (form.quantity, form.scale) == ("current_A", 1.0)
+
+
 def export_with_sensors() -> str:
     """Return raw counts of panels against Unix milliseconds, with a gyro in deg/s and a magnetometer in nT."""
     rows = list(csv.reader(io.StringIO(export("adc_{sign:pm}{axis}", 0.001))))

@@ -182,6 +182,10 @@ RECEIVED_WORDS = ("received", "receive", "recv", "reception", "rx", "ert", "grou
 COUNT_WORDS = ("adc", "raw", "count", "counts", "cnt", "dn", "lsb")
 """Words in the name of a column of raw counts of a converter."""
 
+COUNT_UNITS = (*COUNT_WORDS, "adu", "du", "bit", "bits", "digit", "digits", "step", "steps")
+COUNT_UNITS += ("zähler", "zaehler", "zählwert", "stufen", "coups", "cuentas", "conteggi")
+"""Units of raw counts in small letters, German, French, Spanish and Italian ones too."""
+
 EXTREME_WORDS = ("min", "minimum", "max", "maximum", "std", "stddev", "sigma")
 """Words in the name of a column of other statistics than the mean of an interval."""
 
@@ -639,7 +643,7 @@ def _judge_quantity(
     if multiple := MULTIPLE.fullmatch(unit):
         quantity, size = UNITS[multiple["unit"]]
         return quantity, float(multiple["factor"]) * size, f"{unit}, by the header; check this"
-    words, in_counts = _words_of(template), unit in COUNT_WORDS
+    words, in_counts = _words_of(template), unit in COUNT_UNITS
     angles = None if in_counts else _judge_angles(table, words, unit, columns)
     if angles is not None:
         return angles

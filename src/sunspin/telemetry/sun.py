@@ -20,7 +20,7 @@ from sunspin.base.provenance import provenance
 from sunspin.telemetry.noise import ASSUMED_FROM, DARK_FROM, assumed_noise, dark_noise
 from sunspin.telemetry.quality import BELOW_FULL, IDLE, judge_readings
 from sunspin.telemetry.signals import signals
-from sunspin.telemetry.units import WrongUnit, panel_unit
+from sunspin.telemetry.units import WrongUnit, panel_unit, reading_unit
 from sunspin.vehicle import Vehicle
 from sunspin.vehicle.response.flat import PanelResponse
 from sunspin.vehicle.response.panels import Pattern, patterns_by_name
@@ -257,7 +257,9 @@ def sun_directions(
         "noise": sigma,
         "lit_threshold": each_panel * threshold,
     }
-    return _directions_dataset(vehicle, base, values, noise_from)
+    return _directions_dataset(vehicle, base, values, noise_from).assign_attrs(
+        noise_unit=reading_unit(vehicle, power)
+    )
 
 
 VARIABLES: dict[str, tuple[tuple[str, ...], dict[str, Any]]] = {

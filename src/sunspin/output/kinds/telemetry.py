@@ -102,7 +102,8 @@ def sun_summary(sun: Any) -> Summary:
     if numbers["median_sigma_deg"] is not None:
         source = numbers["noise_from"]
         # the size of a given noise is in the vehicle file, maybe one for each panel
-        noise = source if source == "given" else f"{size_text(numbers['noise'])}, {source}"
+        size = f"{size_text(numbers['noise'])} {sun.attrs.get('noise_unit', '')}".strip()
+        noise = source if source == "given" else f"{size}, {source}"
         lines.append(
             f"  median 1-sigma error {numbers['median_sigma_deg']:.2f} deg (noise: {noise})"
         )
