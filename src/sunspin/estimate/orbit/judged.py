@@ -78,7 +78,9 @@ def clock_words(check: OrbitCheck) -> str:
     if not hours:
         return ""
     side = "behind" if hours > 0 else "ahead of"
-    return f"they would fit if the telemetry's clock were {abs(hours)} h {side} UTC"
+    clock = f"they would fit if the telemetry's clock were {abs(hours)} h {side} UTC"
+    # of the elements of seven wrong satellites one did
+    return f"{clock} (those of another satellite may fit so by chance)"
 
 
 def judged_orbit(
