@@ -39,7 +39,7 @@ def compiled_function(
     arguments: tuple[int, int],
     compile_it: Callable[[], tuple[str, bytes]],
 ) -> Callable[..., Any]:
-    """Return a function by its stored machine code; if none is stored, compile it and store its code.
+    """Load a function from its stored machine code; if there is none, compile it and store the code.
 
     Without a folder that can be written it is compiled in each process. The function releases Python's lock. Its `arguments`: how
     many addresses of arrays it takes, and then how many whole numbers. `sources`: the files of this package that it is compiled

@@ -54,7 +54,7 @@ def another_zero(nominal: Model, s: AlternativeSettings) -> Iterator[Model]:
     """Yield models of a gyro whose zero is off by more than the file states, and of a magnetometer without a stated zero sigma.
 
     A gyro with a wrong zero makes the motion wrong: with a zero off by 0.5 deg/s and stated to 0.006 a pass was decided and wrong
-    by 8 sigma, as the scale of the gyro took the error. In the verdict the gyro still fits only with the zero that the file states.
+    by 8 sigma, as the scale of the gyro took the error. The verdict still tests the gyro with the zero that the file states.
 
     A file that states no sigma of a magnetometer's zero does not say that it is calibrated. So the odds are even, and it fits with
     the zero that is estimated. Without this model, readings with a zero of a tenth of the field decided a pass 8 sigma off.

@@ -336,7 +336,7 @@ def unconfirmed_zero(
     if misfit(in_sigma((difference**2 / variance).sum(axis=1), 3)).fits:
         return None
     without = estimators.estimate_if_fits(observed.vehicle, telemetry.drop_vars("gyro_B"))
-    # of several solutions without the gyro the first may be a mirror image, which fits the gyro along mirrored axes
+    # if it is not decided, its first solution may be a mirror image, which fits a gyro with mirrored axes
     if without is not None and bool(without["decided"].values.all()):
         axes = _other_axes(observed, telemetry, "gyro_B", without, estimators)
         if axes is not None:

@@ -400,8 +400,7 @@ def _with_rivals(
     3. The data do not exclude a rival (`EXCLUDED`): it is listed with its rates in attrs["columns_rivals"].
 
     Without readings of panels or a decided pass nothing is tested. `costs`: of the samples of the longest pass, decided or not.
-    `least_gain`: rivals with a smaller gain in log evidence over the file are ignored; it is the gain of reversed wheels if a wheel
-    is in doubt, else 0, with which none is ignored.
+    `least_gain`: log evidence that rivals must gain more than reversed wheels do, if a wheel is in doubt; 0 ignores none.
     """
     decided = np.flatnonzero(result["decided"].values)
     if "noise" not in result.attrs or not len(decided):

@@ -46,7 +46,7 @@ def wrong_gyro_axes(assessment: Assessment) -> str | None:
     directions = assessment.still_directions
     ways = list(signed_axes())  # the stated one first
     rates = [rate[:, order] * signs for _, order, signs in ways]
-    # rotations (n - 1, 3) between samples for each way: of linear rates, and of a body with wheels (computed only if needed)
+    # rotations (n - 1, 3) between samples for each way: by rates interpolated linearly, or by wheels (computed only if needed)
     linear = [rotations_between_samples(time, of_way) for of_way in rates]
     of_body: list[np.ndarray] | None = None
     at_rest = np.zeros_like(linear[0])

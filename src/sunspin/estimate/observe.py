@@ -255,8 +255,8 @@ def split_passes(readings: FileReadings, gap_s: float | None, s: PassSettings) -
     ends = np.flatnonzero(np.diff(t_s) > gap)
     # readings of a field whose direction in space is unknown
     magnetometer = readings.obs.of_kind(FieldChange)
-    changes = magnetometer is not None and magnetometer.present().any()
-    if changes and gap_s is None:
+    is_read = magnetometer is not None and magnetometer.present().any()
+    if is_read and gap_s is None:
         field_s = readings.obs.t_s[np.isfinite(magnetometer.field_B).all(axis=1)]
         is_bridged = [_field_bridges(field_s, t_s[k], t_s[k + 1], gap, s) for k in ends]
         ends = ends[~np.array(is_bridged, dtype=bool)]
@@ -264,7 +264,7 @@ def split_passes(readings: FileReadings, gap_s: float | None, s: PassSettings) -
     # long, unless the longest would have so many samples that the search keeps too few of them.
     field_is_known = readings.obs.of_kind(KnownField) is not None
     too_many = field_is_known and s.longest_s > s.most_in_field * median_s
-    longest_s = s.longest_field_s if changes or too_many else s.longest_s
+    longest_s = s.longest_field_s if is_read or too_many else s.longest_s
     passes = []
     # `part`: indices into `usable` of the samples between two long gaps
     for part in np.split(np.arange(len(usable)), ends + 1):

@@ -88,12 +88,12 @@ def one_pass(
 
     `nominal`: that of the samples kept for the search. `begin`: motions under a similar model, which replace the first search.
     """
-    s, exact = settings, nominal
+    s, given = settings, nominal
     # each pass has its own budget, as passes are estimated side by side
     budget = replace(budget)
 
     # the search finds all motions that the readings allow, mostly with the inertia held; in the fit all unknowns are free
-    nominal, tracks = search_first(exact, begin, s.search, budget)
+    nominal, tracks = search_first(given, begin, s.search, budget)
     fits = fit_tracks(nominal, tracks, s.search.noise, s)
     fits = search_again(nominal, fits, s, budget)
     if not any(map(len, fits)):
@@ -105,7 +105,7 @@ def one_pass(
 
     # Motions that the search may lose if it holds the inertia: bodies of another shape, then whole revolutions more or less of all
     # that is found. This order, as a body without an inertia has its aliases only when its shape is known. `factor`: on a largest
-    # rate that nobody stated; for revolutions about two axes any body may exceed that, as they are few.
+    # rate that nobody stated; revolutions about two axes are few, so any body may exceed it by them.
     beyond = s.alternatives.beyond if _inertia_by_sun(nominal) and nominal.body.sphere else 1.0
     for related, factor in (
         (other_bodies, beyond),
@@ -128,7 +128,7 @@ def one_pass(
 
     # all rungs are equally likely, until the passes of the file are compared (`evidence.share_noise`)
     even = np.full(len(s.ladder.rungs), -np.log(len(s.ladder.rungs)))
-    return PassFits(exact, tuple(fits), s.ladder.rungs, even, budget.used, budget.cut)
+    return PassFits(given, tuple(fits), s.ladder.rungs, even, budget.used, budget.cut)
 
 
 def without_too_weak_torques(nominal: Model, fits: Sequence[Fit], s: LadderSettings) -> list[Fit]:
@@ -171,7 +171,7 @@ def search_again(nominal: Model, fits: list[Fit], s: RatesSettings, budget: Budg
     under_strong_torques = cache(partial(search_and_fit, nominal, s.ladder.strong))
     if len(nominal.body.errors) and best_cost(fits) > limit:
         fits = min(fits, under_strong_torques(), key=best_cost)
-    # 2. A long body that turns over its middle axis leaves any motion of the stated inertia, one sigma off, within a few turns.
+    # 2. A long body that turns about its middle axis soon departs from any motion of an inertia that is one sigma off.
     if inertia_by_sun and not nominal.body.sphere and best_cost(fits) > limit:
         free = search_and_fit(nominal, s.ladder.strong, inertia_held=False)
         fits = min(fits, free, key=best_cost)
@@ -344,7 +344,7 @@ def is_fast(fits: Sequence[Fit]) -> bool:
 def fit_tracks(
     nominal: Model, tracks: Sequence[Track], noise: float, s: RatesSettings
 ) -> list[Fit]:
-    """Return fits of motions of a search and their images under every strength of torques, first that of the search, `noise`.
+    """Return fits of a search's motions and their mirror images under every strength of torques, first under `noise`.
 
     The most probable one is fitted once more from new first guesses (:func:`begin_again`).
     """

@@ -109,7 +109,7 @@ def posterior(
         Upper limits: `max_rate_rad_s`, below which the rate vector is uniform; `steady_torque`, the largest rotation over the
         samples by a constant torque (deg; 300 unless given, 0: none acts). Relative sigmas, zero for what is known: `inertia` (of
         each moment), `wheel_speed`, `wheel_inertia`, `friction`, `gain` (of each panel), `scale` and `noise` (of the logarithm). In
-        rad: `tilt`, of each panel to either side, and `tilt_common`, of all panels about each axis. In s: `time_s`, of the time of
+        rad: `tilt`, of each panel about two axes, and `tilt_common`, of all panels about each axis. In s: `time_s`, of the time of
         each sample. Default: what the vehicle file states, else the values in :mod:`sunspin.estimate.settings`; the attributes of
         the result say which.
     seed : int
@@ -126,7 +126,7 @@ def posterior(
     progress : bool, or a function of a line
         Say on the standard error what is being done; a function is called with each line instead.
     periods : list, optional
-        Rotation periods observed from outside: the group `period` says what they decide; the draws stay as they are.
+        Rotation periods observed from outside: the group `period` has weights of the draws by them; the draws stay as they are.
     settings : PosteriorSettings
         Numbers that tune the search and the sampling.
 
@@ -254,7 +254,7 @@ def draw_all_models(
     count = len(nominal.motions)
     say(f"fitting {count} motions under {1 + len(torques)} models, and drawing from them")
     with ThreadPoolExecutor(carrier.workers) as pool:
-        fits = [nominal.fit, *pool.map(lambda torque: fit_under(torque, nominal), torques)]
+        fits = [nominal.fit, *pool.map(lambda torque: fit_model(torque, nominal), torques)]
     fits, doubts = draw_models(fits, nominal, streams[:3], budget)
     mix = Mixture.of(fits, settings.sampling, carrier.workers)
     left_out = any(doubt.left_out for doubt in nominal.fit.doubts)
@@ -269,12 +269,12 @@ def draw_all_models(
     say("no motion explains the readings: searching under constant torques")
     carrier.announce_torques(len(torques))
     # the budget does not count these searches: `ShootingSettings.most_search` limits each
-    searched = [fit_under(torque, nominal, search_under(torque)) for torque in torques]
+    searched = [fit_model(torque, nominal, search_under(torque)) for torque in torques]
     fits, doubts = draw_models([fits[0], *searched], nominal, streams[3:6], budget)
     return doubts, Mixture.of(fits, settings.sampling, carrier.workers)
 
 
-def fit_under(
+def fit_model(
     carrier: Shooting, nominal: NominalSearch, searched: LanderMotions | None = None
 ) -> ModelFit:
     """Fit motions to all samples under the model of `carrier`: those of the nominal search, and `searched` if given.

@@ -1,10 +1,10 @@
 """The search for all motions that the readings of a pass allow.
 
 Between two samples the body may make more whole revolutions, or rotate about another axis, so the posterior density has many
-maxima. A search begins with two neighbouring samples, for which few starts suffice. These trial solutions are fitted, those that
-the readings rule out are dropped, and the window of samples grows at both ends. A rate that is known from a window predicts the
-phase one window further, so a trial solution stays near its maximum. If a window hardly determines a direction of the rate, further
-ones are placed along it (`Chain.widened`). The search is repeated from several pairs of samples.
+maxima. A search begins with two or three neighbouring samples, for which few starts suffice. These trial solutions are fitted,
+those that the readings rule out are dropped, and the window of samples grows at both ends. A rate that is known from a window
+predicts the phase one window further, so a trial solution stays near its maximum. If a window hardly determines a direction of the
+rate, further ones are placed along it (`Chain.widened`). `rates` repeats it from several pairs of samples.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ def search(
     `starts`: windows with the motions from which a search begins there, the most promising window first. From each of the first
     `places` (default: that of the settings) the window grows to all samples; from up to `s.more_places` more if no motion fits.
     """
-    ends: list[Any] = []  # motions that reached all samples, for each place that led so far
+    ends: list[Any] = []  # motions that reached all samples, one entry for each place
     everything = slice(0, len(carrier.t_s))
     places = s.places if places is None else places
     for number, (window, motions) in enumerate(starts):

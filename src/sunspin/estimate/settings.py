@@ -529,7 +529,7 @@ NOISE_STATED, NOISE_UNSTATED = 0.3, 1.0
 """Sigma of the logarithm of the noise about what the vehicle states, and about what is assumed if it states none."""
 
 LOOSER_INERTIA, LOOSER_CHANCE = 5.0, 0.05
-"""Factor on the sigmas of the moments of inertia in an alternative model, and the prior probability of that model."""
+"""Factor on the sigmas of the inertia if that of the file is wrong, and the prior probability of this."""
 
 TORQUE_TURNS_DEG = (1.0, 300.0, 6)
 """Least and largest turn of the body over the samples by an unknown constant torque, and the number of equally likely sizes between
@@ -727,7 +727,7 @@ class ShootingSettings:
     """Motions kept if the readings rule out all, so that the verdict can say by how much."""
 
     drop: float = 30.0
-    """A motion is dropped if its log probability is below that of the best by more than this."""
+    """Log probability below that of the best at which a motion is dropped; within a window `slack` is added."""
 
     most_fitted: int = 300
     """Most motions fitted to all samples that are kept."""

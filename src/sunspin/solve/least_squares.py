@@ -60,7 +60,7 @@ def least_squares(
     system: Any = None,
     limit: Callable[[Any], Any] | None = None,
     length_ratio: Callable[[Any, Any], np.ndarray] | None = None,
-    carry: Callable[[Any, Any], Any] | None = None,
+    keep: Callable[[Any, Any], Any] | None = None,
 ) -> Solution:
     """Return a local minimum of each of K costs, by damped Gauss-Newton steps from given starts.
 
@@ -90,7 +90,7 @@ def least_squares(
         Projects a trial state onto the allowed states.
     length_ratio : (state, step) -> (K), optional
         Ratio of the length of a step to the longest allowed; a step with a ratio above one is shortened as a whole.
-    carry : (state, system) -> state, optional
+    keep : (state, system) -> state, optional
         Copies into a trial state what it keeps of its own system, such as derivatives that later steps update.
 
     Returns
@@ -114,7 +114,7 @@ def least_squares(
         trial = retract(active_state, step)
         trial = trial if limit is None else limit(trial)
         new = linearise(trial)
-        trial = trial if carry is None else carry(trial, new)
+        trial = trial if keep is None else keep(trial, new)
         # of the active problems: the step is taken; it was the last because little can be gained, or because no step helps
         better = finite & np.isfinite(new.cost) & (new.cost < active_system.cost)
         # under strong damping a predicted gain is small because the step is short

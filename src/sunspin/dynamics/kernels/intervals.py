@@ -76,7 +76,7 @@ def _between(start, end, share):
 
 @compiled
 def _advance(state, dt, count, wheels, wheels_end, inverse):
-    """Return a state after dt seconds, in `count` Runge-Kutta steps; the momentum of the wheels goes to `wheels_end`."""
+    """Return a state after dt seconds, in `count` Runge-Kutta steps; momentum `wheels` goes linearly to `wheels_end`."""
     h = dt / count
     for k in range(count):
         middle = _between(wheels, wheels_end, (k + 0.5) / count)
@@ -109,7 +109,7 @@ def _vector(vectors, k):
 
 
 def carry(rates, dt_s, steps, start, end, inertias, inverses, attitudes, runs, motions, n, bodies):
-    """Replace the rates (runs, motions, n, 3) by those at the end, and write the attitudes (runs, motions, n, 3, 3).
+    """Replace the rates (runs, motions, n, 3) by those after dt_s, and write the attitudes (runs, motions, n, 3, 3).
 
     Arguments as of :func:`sunspin.dynamics.step.carry_bodies`: addresses of contiguous arrays, then their sizes. `start`, `end`
     (n, 3): momentum of the wheels. `inertias` (runs, bodies, 3, 3) and `inverses` (runs, bodies, 6): of all motions of a run

@@ -195,7 +195,7 @@ def interpolate(corners, m, x, q):
 def interpolated(corners, m, x):
     """Return the quaternion of sample m at the place x (3) in a cell, as :func:`interpolate` does, without derivatives.
 
-    Most places are looked at for their misfit alone, and a tuple stays in registers.
+    Most places need no derivatives, and a tuple stays in registers.
     """
     return (
         _at_place(corners, m, x, 0),
@@ -221,7 +221,7 @@ def _at_place(corners, m, x, k):
 
 @compiled
 def rotated(q, vector):
-    """Return a vector (3) rotated by the quaternion q (4), scalar last, of any length."""
+    """Return a vector (3) rotated by q (4), a quaternion of any length, scalar last."""
     # with the vector part v and the scalar w of the unit quaternion: r + w t + v x t, t = 2 v x r
     x, y, z, w = q[0], q[1], q[2], q[3]
     twice = 2.0 / max(x * x + y * y + z * z + w * w, 1e-9)
@@ -258,7 +258,7 @@ def write_rotation_slope(q, change, vector, out):
 def nearest_node(size, x, y, z):
     """Return the index, in :func:`~sunspin.estimate.lander.allowed.cube_nodes` of `size`, of the node near a direction (x, y, z).
 
-    The direction may have any length. Of the nodes on the face of the cube that it hits, the one nearest to that point is taken.
+    The direction may have any length. Of the nodes on the face of the cube that it hits, the one nearest to the hit is taken.
     """
     along = (abs(x), abs(y), abs(z))
     # the axis across the face that the direction hits, its component `top` along that axis, and those along the next two axes
@@ -505,7 +505,7 @@ def settle(corners, start, frame, panels, limits, work):
 
 
 def _entry(sources: int) -> Any:
-    """Return the cached entry point; `sources` is the digest of what it is compiled from (:mod:`sunspin.dynamics.processor`)."""
+    """Return the compiled `search_cells`; `sources` is the digest of its sources (:mod:`sunspin.dynamics.processor`)."""
 
     @cached("compiling the search for starts of a posterior, once (some 10 s)")
     def search_cells(cells, tables, panels, limits):

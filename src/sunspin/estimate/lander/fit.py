@@ -349,9 +349,9 @@ class Fitting:
         """Take at most so many steps under `noise_factor` times the noise."""
         self.noise_factor = noise_factor
         self.system = self.problem.equations(self.motions.u, self.system.extras, noise_factor)
-        self.steps(steps)
+        self.iterate(steps)
 
-    def steps(self, count: int) -> None:
+    def iterate(self, count: int) -> None:
         """Take at most `count` steps of damped least squares; derivatives are corrected after each."""
         motions, linear = self.motions, self.system.extras
         no_step = np.zeros((len(motions), len(self.problem.motion_coordinates)))
@@ -367,7 +367,7 @@ class Fitting:
             system=self.system,
             length_ratio=self._length_ratio,
             limit=self._limited,
-            carry=lambda state, system: state._replace(
+            keep=lambda state, system: state._replace(
                 track_slopes=system.extras.track_slopes, track_before=system.extras.track
             ),
         )
@@ -502,7 +502,7 @@ def fit_finally(problem: FitProblem, motions: LanderMotions, levels: Levels) -> 
     for _ in range(2):
         fitting.refresh()
         fitting.fit_noise()
-        fitting.steps(2)
+        fitting.iterate(2)
     return replace(fitting.motions, cost=fitting.system.cost, curvature=fitting.curvature())
 
 

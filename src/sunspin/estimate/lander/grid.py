@@ -59,9 +59,9 @@ class Reference:
     `sample`: its index; `after_s`: its time after the first sample; `window`: it and its two neighbours, whose indices are `others`
     (m). The search tries the directions to the Sun `suns` (c, 3), body axes, with rates on a cubic grid, `edge` apart.
 
-    Four largest rates (rad/s). At the first sample: `prior_max_rate`, up to which the prior is uniform, and `fastest`, which has a
-    margin: faster motions are left out. At the reference: `max_rate`, the largest that may result from the prior, and `limit`, that
-    of the grid. `limit` is `max_rate`, or less than `prior_max_rate` if the grid would have too many cells.
+    Four largest rates (rad/s). At the first sample: `prior_max_rate`, the stated one, and `fastest`, which has a margin: faster
+    motions are left out. At the reference: `max_rate`, to which a rate may grow from there and up to which the prior is uniform,
+    and `limit`, that of the grid. `limit` is `max_rate`, or less than `prior_max_rate` if the grid would have too many cells.
     """
 
     sample: int

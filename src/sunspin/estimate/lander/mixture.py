@@ -54,14 +54,14 @@ def join_models(
 ) -> Draws:
     """Return the draws of several models together, weighted by the evidence of each model; the first is the nominal one.
 
-    Other models of negligible probability are left out. Solutions of two models become one if they differ by no more than the
-    alternative model may change a motion. The evidence of the result is the sum, not the mean, of those of the models; no
+    Other models of negligible probability are left out. Solutions of two models become one if they differ by no more than one
+    motion may under two models. The evidence of the result is the sum, not the mean, of those of the models; no
     probability depends on that. `reach_s`: longest time from the reference to a sample.
     """
     evidence = np.array([draws.log_evidence for draws in drawn])
     probability = np.exp(evidence - logsumexp(evidence))  # of each model
     models = [m for m in range(len(drawn)) if m == 0 or probability[m] > settings.no_weight]
-    # the weights of each model's draws, whose mean is its evidence, are divided by their number, so that their sum is
+    # divide each model's weights by their number: then their sum, not their mean, is its evidence
     log_weight = np.concatenate([drawn[m].log_weight - np.log(len(drawn[m])) for m in models])
     share = np.exp(log_weight - logsumexp(log_weight))
     solution = _labels_over_models(drawn, probability, models, reach_s, settings)

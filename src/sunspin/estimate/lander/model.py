@@ -259,7 +259,7 @@ class LanderModel:
 
         There all deviations of inertias are shortened to the part `inside` of the longest ones with which the body can exist. These
         are found by bisection, as all shorter ones are possible too: the conditions are convex in the tensor of the body. A
-        wheel's unknown is the log of its inertia: half of a positive one adds less than half as much, so this holds for it too.
+        wheel's inertia is the exponential of its unknown: on the way it adds less than in proportion, so this holds for it too.
         """
         mass = self.indices(*MASS)
         if not mass or not len(u):

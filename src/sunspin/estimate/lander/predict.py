@@ -307,12 +307,12 @@ def _trajectory(motions: DrawnMotions, draw: int, end_s: float) -> xr.Dataset:
     """Return the motion of one draw from its start to `end_s` (s from the epoch), at instants about `TURN_RAD` apart."""
     rows, duration_s = motions.rows, end_s - motions.start_s
     bodies = rows.bodies_of(motions.vehicle)
-    own, steady = bodies.vehicle(motions.vehicle, draw), bodies.steady_N_m[draw]
+    craft, steady = bodies.vehicle(motions.vehicle, draw), bodies.steady_N_m[draw]
 
     def at_instants(count: int) -> xr.Dataset:
-        """Return the motion at `count` evenly spaced instants."""
+        """Return the motion at `count` evenly spaced instants up to `end_s`."""
         return propagate(
-            own,
+            craft,
             rows.omega_B[draw],
             rows.sun_B[draw],
             rows.wheel_speed_rad_s[draw],

@@ -321,7 +321,7 @@ def write_interpolated(coarse, m, low, part, q):
 
 
 def _entry(sources: int) -> Any:
-    """Return the cached entry point; `sources` is the digest of what it is compiled from (:mod:`sunspin.dynamics.processor`)."""
+    """Return the compiled `fill`; `sources` is the digest of its sources (:mod:`sunspin.dynamics.processor`)."""
 
     @cached("compiling the grid of rates of a posterior, once (some 5 s)")
     def fill(points, quaternions, coarse, sphere):

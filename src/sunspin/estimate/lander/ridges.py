@@ -388,7 +388,7 @@ def over_prior_sigmas(
 def _with_prior_sigmas(
     peak: Peak, share: float, u: np.ndarray, indices: np.ndarray, before: float, farthest: float
 ) -> Peak | None:
-    """Return `peak` if the prior sigmas of the unknowns `indices` are `share`, not `before`: both are factors of `Unknown.sigma`.
+    """Return `peak` for prior sigmas `share` of the unknowns `indices` in place of `before`, both factors of `Unknown.sigma`.
 
     It is None if a larger sigma leads farther than `farthest` of these sigmas from the centre. Let v be these unknowns at the old
     mean. The new prior adds a v^2 / 2 to the cost, with a = 1 / share^2 - 1 / before^2, and a to the curvature. One Newton step
@@ -474,7 +474,7 @@ def fit_stiff(
                 steps=steps,
                 tolerance=SETTLED_GAIN,
                 system=take_problems(system, far),
-                carry=with_slopes,
+                keep=with_slopes,
             )
             state = replace_problems(state, far, solution.state)
             system = replace_problems(system, far, solution.system)

@@ -135,8 +135,8 @@ def _stretch(
 ) -> tuple[np.ndarray, list[str]]:
     """Return which samples at `times` (n), s, lie in the requested stretch, as a mask (n), and remarks in words.
 
-    If neither phase nor limits are given and the file has several phases, only FREE_PHASE is used. Raises `InputError` if there is
-    no such phase.
+    Without phase and limits only FREE_PHASE is used if the file has several phases. Raises `InputError` if the file lacks the
+    phase.
     """
     inside, remarks = np.ones(len(times), dtype=bool), []
     phases = np.array([], dtype=str)
@@ -189,7 +189,7 @@ def _brightness(
     2. Else, if gains have a unit and the likeliest brightness is near one (`LIKELY_UNIT`), the gains are believed: one.
     3. Else it is the likeliest brightness.
 
-    For a direction only panels lit clearly beyond the noise count. With a small threshold half of the dark panels would pass as
+    Only panels lit clearly above the noise count for a direction. With a small threshold half of the dark panels would pass as
     lit: at 2 to 4 % noise one guess in three was off by more than 10 %, and then no start of the search settled.
     """
     surely_lit = np.maximum(threshold, LIT_SIGMAS * sigma)

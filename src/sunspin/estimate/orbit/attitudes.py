@@ -242,7 +242,7 @@ class OrbitModel:
                 steps=STEPS,
                 tolerance=TOLERANCE,
                 # each step begins at the best attitudes of the one before
-                carry=lambda state, system: state._replace(attitude=system.extras[0]),
+                keep=lambda state, system: state._replace(attitude=system.extras[0]),
             )
             state = solution.state._replace(attitude=solution.system.extras[0])
             scatter_before, model = model.scatter, model.with_fitted_scatter(state)

@@ -62,7 +62,7 @@ def contradicted(
     known = np.isfinite(difference)
     if known.sum() < fewest:
         return False
-    # of each direction about an axis across it: the covariance has two such axes
+    # sigma of each direction about one axis: its covariance is that about two axes
     sun_sigma = np.sqrt(np.trace(readings.covariance[known], axis1=1, axis2=2) / 2)
     allowed = LARGEST_ANGLE_RAD + np.median(np.minimum(sun_sigma, LARGEST_ANGLE_RAD))
     return bool(np.median(difference[known]) > allowed)
