@@ -52,15 +52,6 @@ def test_a_helper_prepares_itself_and_answers_calls_in_their_order():
     assert not PREPARED  # another process did it
 
 
-def test_a_helper_killed_from_outside_is_reported_in_one_sentence():
-    with (
-        pytest.raises(InputError, match=r"ended from outside.*fewer workers"),
-        helper_process(2, prepare) as helper,
-    ):
-        helper.start(os.abort)
-        helper.result()
-
-
 @pytest.fixture
 def no_child_stays():
     """Assert that a test leaves no process, and does not take a minute."""
@@ -69,36 +60,29 @@ def no_child_stays():
     assert time.monotonic() - begin < 60 and not set(active_children()) - before
 
 
-def test_a_helper_ends_with_the_block_although_it_works_and_its_parent_is_interrupted(
-    no_child_stays,
-):
+def test_a_helper_at_work_ends_with_the_block_though_its_parent_is_interrupted(no_child_stays):
     with pytest.raises(KeyboardInterrupt), helper_process(2, prepare) as helper:
         helper.start(time.sleep, 1000.0)
         raise KeyboardInterrupt
 
 
-@pytest.fixture
-def interrupt_handler():
-    """Python's own handler of Ctrl-C, which it does not install if whoever started it ignores that signal."""
-    before = signal.signal(signal.SIGINT, signal.default_int_handler)
-    yield signal.default_int_handler
-    signal.signal(signal.SIGINT, before)
-
-
-def test_an_interruption_while_a_helper_starts_ends_it_too(
-    monkeypatch, interrupt_handler, no_child_stays
-):
+def test_an_interruption_at_the_start_of_a_helper_ends_it_too(monkeypatch, no_child_stays):
     """It comes when the copy exists and nobody has noted it yet."""
-    start = ForkProcess.start
+    start, handler = ForkProcess.start, signal.default_int_handler
 
     def interrupted_start(process):
         start(process)
         signal.raise_signal(signal.SIGINT)
 
     monkeypatch.setattr(ForkProcess, "start", interrupted_start)
-    with pytest.raises(KeyboardInterrupt), helper_process(2, prepare):
-        pass
-    assert signal.getsignal(signal.SIGINT) is interrupt_handler
+    # Python does not install its own handler if whoever started it ignores Ctrl-C
+    before = signal.signal(signal.SIGINT, handler)
+    try:
+        with pytest.raises(KeyboardInterrupt), helper_process(2, prepare):
+            pass
+        assert signal.getsignal(signal.SIGINT) is handler
+    finally:
+        signal.signal(signal.SIGINT, before)
 
 
 def be_deaf(seconds):
@@ -107,17 +91,6 @@ def be_deaf(seconds):
     while time.monotonic() < end:
         with suppress(BaseException):
             time.sleep(0.01)
-
-
-@pytest.mark.parametrize("seconds", [0.6, 1000.0])
-def test_a_helper_that_catches_the_request_to_end_ends_after_its_call_or_is_killed(
-    monkeypatch, seconds, no_child_stays
-):
-    if seconds > 1:
-        monkeypatch.setattr(module, "END_S", 0.5)
-    with helper_process(2, prepare) as helper:
-        helper.start(be_deaf, seconds)
-        time.sleep(0.3)
 
 
 class SlowEnd:
@@ -133,14 +106,23 @@ def end_slowly():
     time.sleep(1000.0)
 
 
-def test_a_helper_asked_to_end_where_python_ignores_errors_ends_when_asked_again(
-    capfd, no_child_stays
+@pytest.mark.parametrize(
+    ("work", "end_s", "within_s"),
+    [
+        ((be_deaf, 0.6), module.END_S, 60.0),  # ends after its call
+        ((be_deaf, 1000.0), 0.5, 60.0),  # is killed
+        ((end_slowly,), module.END_S, module.END_S / 2),  # is asked again
+    ],
+)
+def test_a_helper_that_does_not_heed_the_request_to_end_ends(
+    work, end_s, within_s, monkeypatch, capfd, no_child_stays
 ):
+    monkeypatch.setattr(module, "END_S", end_s)
     with helper_process(2, prepare) as helper:
-        helper.start(end_slowly)
+        helper.start(*work)
         time.sleep(0.3)
         begin = time.monotonic()
-    assert time.monotonic() - begin < module.END_S / 2
+    assert time.monotonic() - begin < within_s
     assert capfd.readouterr().err == ""
 
 
@@ -149,11 +131,6 @@ def sleep_in_pool(seconds):
     with process_pool(2) as workers:
         workers.submit(os.getpid).result()
         workers.submit(time.sleep, seconds).result()
-
-
-def children_of(process_id):
-    """Return the ids of the children of a process."""
-    return Path(f"/proc/{process_id}/task/{process_id}/children").read_text().split()
 
 
 def runs(process_id):
@@ -177,7 +154,8 @@ def all_end(process_ids, within_s=20.0):
 
 def two_workers_of(process_id):
     """Return the numbers of the two workers of a process, when both run."""
-    while len(workers := children_of(process_id)) < 2:
+    children = Path(f"/proc/{process_id}/task/{process_id}/children")
+    while len(workers := children.read_text().split()) < 2:
         time.sleep(0.05)
     return workers
 
@@ -190,15 +168,7 @@ def with_sleeping_pool(helper):
     return process_id, two_workers_of(process_id)
 
 
-def test_a_pool_of_a_helper_ends_with_it():
-    with helper_process(2, prepare) as helper:
-        _, workers = with_sleeping_pool(helper)
-    assert all_end(workers)
-
-
-def test_a_helper_killed_while_its_pool_works_is_reported_although_the_pool_holds_the_pipe(
-    monkeypatch,
-):
+def test_a_killed_helper_whose_pool_holds_the_pipe_is_reported(monkeypatch):
     monkeypatch.setattr(pool, "KILL_WITH_PARENT", 0)  # no option of the system: the pool stays
     errors = []
 
@@ -232,10 +202,12 @@ with helper_process(2, list) as helper:
 """
 
 
-def test_helper_and_pool_end_with_a_killed_parent():
-    root = Path(__file__).parents[2]
-    command = [sys.executable, "-c", PARENT]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, cwd=root) as parent:
+def test_a_pool_ends_with_its_helper_and_both_with_a_killed_parent():
+    with helper_process(2, prepare) as helper:
+        _, workers = with_sleeping_pool(helper)
+    assert all_end(workers)
+    started = {"stdout": subprocess.PIPE, "text": True, "cwd": Path(__file__).parents[2]}
+    with subprocess.Popen([sys.executable, "-c", PARENT], **started) as parent:
         process_id = parent.stdout.readline().strip()
         workers = two_workers_of(process_id)
         parent.kill()
@@ -250,7 +222,6 @@ class TwoPartsError(ValueError):
 
 
 def fail_in_two_parts():
-    """Raise an error of which pickle cannot make a copy."""
     raise TwoPartsError("a", "b")
 
 
@@ -262,7 +233,7 @@ def fail_in_two_parts():
         ((fail_in_two_parts,), RuntimeError, "TwoPartsError: a and b"),
     ],
 )
-def test_an_error_of_a_call_is_raised_here_and_the_next_call_is_answered(
+def test_an_error_of_a_call_is_raised_here_and_the_next_one_answered(
     call, error, text, monkeypatch
 ):
     """Also if its result or its error cannot be sent back."""
@@ -276,11 +247,15 @@ def test_an_error_of_a_call_is_raised_here_and_the_next_call_is_answered(
         assert helper.result() == 5
 
 
-def test_a_worker_of_the_pool_of_a_helper_that_was_killed_is_reported_as_such():
+def test_a_helper_or_a_worker_of_its_pool_that_was_killed_is_reported_in_one_sentence():
+    words = r"ended from outside.*fewer workers"
+    with pytest.raises(InputError, match=words), helper_process(2, prepare) as helper:
+        helper.start(os.abort)
+        helper.result()
     with helper_process(2, prepare) as helper:
         _, workers = with_sleeping_pool(helper)
         os.kill(int(workers[0]), signal.SIGKILL)
-        with pytest.raises(EndedError, match=r"ended from outside.*fewer workers"):
+        with pytest.raises(EndedError, match=words):
             helper.result()
 
 
