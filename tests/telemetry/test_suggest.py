@@ -81,10 +81,14 @@ def export(form: str, scale: float, time: str = "Time (UTC)") -> str:
 SECONDS = [f"2026-01-01T00:00:{k:02d}Z" for k in range(20)]
 
 
+def table(names: str, rows, times=SECONDS) -> str:
+    """Return a file with these names of times and columns, rows of cells, and cells of times before them."""
+    return "\n".join([names, *(f"{time},{row}" for time, row in zip(times, rows, strict=True)), ""])
+
+
 def two_panels(names: str, times) -> str:
     """Return a file with these names of times, cells of times and readings of panels +X and -X."""
-    rows = [f"{time},{100 + k},{200 - k}" for k, time in enumerate(times)]
-    return "\n".join([f"{names},iXp,iXm", *rows, ""])
+    return table(f"{names},iXp,iXm", [f"{100 + k},{200 - k}" for k in range(len(times))], times)
 
 
 @pytest.fixture(autouse=True)
@@ -260,11 +264,8 @@ def test_init_from_a_file_of_angles_knows_which_they_are(form, quantity, unit):
     cosine = (sun / np.linalg.norm(sun, axis=1, keepdims=True)) @ np.array(list(NORMALS.values())).T
     angle = np.degrees(np.arcsin(cosine))
     value = {"elevation_deg": angle, "incidence_deg": 90 - angle, "cosine": cosine}[quantity] * unit
-    rows = [
-        ",".join([time, *(f"{x:.5f}" for x in row)])
-        for time, row in zip(SECONDS, value, strict=True)
-    ]
-    begun = Begun("\n".join(["time," + ",".join(map(form.format, NORMALS)), *rows]))
+    names = "time," + ",".join(map(form.format, NORMALS))
+    begun = Begun(table(names, [",".join(f"{x:.5f}" for x in row) for row in value]))
     assert begun.form.quantity == quantity
     found = begun.data["power_W"].sel(panel=[FACES[face] for face in NORMALS]).values
     np.testing.assert_allclose(found, np.maximum(cosine, 0.0), atol=1e-3)
@@ -272,6 +273,11 @@ def test_init_from_a_file_of_angles_knows_which_they_are(form, quantity, unit):
 
 NO_PANELS = "no columns look like currents or powers"
 NO_TIMES = "no columns look like times"
+SPREADSHEET = "a spreadsheet left minutes and seconds of it"
+GRAFANA = "without `Formatted data`"
+NO_UNIT = "its unit is not known"
+NO_NUMBERS = "column 'iXp' may be of a panel, but its cells are not numbers"
+UNREAD = "column 'Time' may hold times, but they cannot be read, such as"
 
 
 @pytest.mark.parametrize(
@@ -295,13 +301,22 @@ NO_TIMES = "no columns look like times"
         ("julian_day,seconds_of_day,iXp [mA],iXm [mA]\n2461000,0,1,2\n2461000,1,1,2\n", [NO_TIMES]),
         (
             "time,iXp [cnt; mA = 0.12*N],iXm [cnt; mA = 0.12*N]\n2026-01-01,20,30\n",
-            ["its unit is not known", "scale"],
+            [NO_UNIT, "scale"],
         ),
+        # what a cell is that is no number or no time: spreadsheets show times with a fraction as minutes and seconds
+        ("time,iXp,iXm\n2026-01-01,412 mA,412 mA\n", [NO_NUMBERS, "412 mA", GRAFANA]),
+        ("time,iXp,iXm\n2026-01-01,0x1f,0x1f\n", [NO_NUMBERS, "0x1f"]),
+        ("time,iXp,iXm\n2026-01-01,'412','412'\n", [NO_NUMBERS, "'412'"]),
+        ("Time,iXp,iXm\n58:00.3,1,2\n", [f"{UNREAD} '58:00.3'", SPREADSHEET]),
+        ("Time,iXp,iXm\n2026-01-31 12:00:00 CET,1,2\n", [f"{UNREAD} '2026-01-31 12:00:00 CET'"]),
     ],
 )
-def test_a_file_whose_names_say_nothing_is_refused_and_nothing_suggested(content, words, template):
+def test_a_file_that_says_nothing_on_panels_or_times_is_refused(content, words, template):
+    """And nothing is suggested."""
     said = refusal(content)
     assert all(word in said for word in words), said
+    for hint in (GRAFANA, SPREADSHEET):
+        assert (hint in said) == any(hint in word for word in words)
     if "t,mx" in content or "t,a" in content or "a,px" in content:
         assert "[telemetry]" not in suggested(content)
 
@@ -354,32 +369,16 @@ def test_times_of_reception_and_of_GPS_are_not_taken_for_UTC_of_the_samples(colu
 @pytest.mark.parametrize("fill", ["65535", "-999"])
 def test_fill_values_say_nothing_on_the_unit_of_a_column(fill):
     """Currents in A were taken as mA, and every panel as lit."""
-    rows = [f"{time},0.4{k:02d},0.001" for k, time in enumerate(SECONDS)]
-    rows[3] = f"{SECONDS[3]},{fill},{fill}"
-    begun = Begun("\n".join(["time,i_px,i_mx", *rows]))
+    cells = [f"0.4{k:02d},0.001" for k in range(20)]
+    cells[3] = f"{fill},{fill}"
+    begun = Begun(table("time,i_px,i_mx", cells))
     assert "A, guessed by the size (up to 0.419)" in begun.text
     assert "it reads hardly anything" in begun.text and begun.form.scale == 1.0
 
 
 def test_a_counter_of_milliseconds_since_the_start_is_no_unix_time(template):
-    times = 2**32 - 90_000 + 10_000 * np.arange(9)
-    printed = suggested(two_panels("uptime_ms", times))
+    printed = suggested(two_panels("uptime_ms", 2**32 - 90_000 + 10_000 * np.arange(9)))
     assert 'time_format = "elapsed"' in printed and "time_scale_s = 0.001" in printed
-
-
-@pytest.mark.parametrize("cell", ["412 mA", "0x1f", "'412'"])
-def test_columns_of_panels_without_numbers_are_named_with_a_cell(cell):
-    said = refusal(f"time,iXp,iXm\n2026-01-01,{cell},{cell}\n")
-    assert "column 'iXp' may be of a panel, but its cells are not numbers" in said
-    assert cell in said and ("without `Formatted data`" in said) == (cell == "412 mA")
-
-
-@pytest.mark.parametrize("cell", ["58:00.3", "2026-01-31 12:00:00 CET"])
-def test_times_that_cannot_be_read_are_named_with_a_cell(cell):
-    """Spreadsheets show times with a fraction as minutes and seconds, and write them so."""
-    said = refusal(two_panels("Time", [cell]))
-    assert f"column 'Time' may hold times, but they cannot be read, such as {cell!r}" in said
-    assert ("a spreadsheet left minutes and seconds of it" in said) == cell.startswith("58")
 
 
 @pytest.mark.parametrize("date", ["2026-01-31", "31.01.2026", "31/01/2026", "01/31/26"])
@@ -559,14 +558,13 @@ def test_days_of_MJD_from_2000_are_not_of_the_19th_century():
 def test_further_strings_of_panels_are_named_and_equal_columns_are_none(form):
     faces = [face.upper() if form == "I{}{}" else face for face in ("xp", "xm", "yp", "ym")]
     names = [form.format(face, string) for face in faces for string in (1, 2)]
-    rows = [",".join(str(300 + (7 * k + 11 * c) % 90) for c in range(8)) for k in range(20)]
-    text = [f"{time},{row}" for time, row in zip(SECONDS, rows, strict=True)]
-    output = Begun("\n".join([f"time,{','.join(names)}", *text])).output
+    cells = [",".join(str(300 + (7 * k + 11 * c) % 90) for c in range(8)) for k in range(20)]
+    output = Begun(table(f"time,{','.join(names)}", cells)).output
     (line,) = [line for line in output.splitlines() if "further strings" in line]
     assert all((f'"{name}"' in line) == (name in names[1::2]) for name in names)
-    equal = [f"{t},{100 + k},{200 - k},{100 + k},{200 - k}" for k, t in enumerate(SECONDS)]
-    equal = Begun("\n".join(["time,iXp,iXm,iXp.1,iXm.1", *equal]), out="other")
-    assert "strings" not in equal.output
+    pairs = [f"{100 + k},{200 - k}" for k in range(20)]
+    equal = table("time,iXp,iXm,iXp.1,iXm.1", [f"{pair},{pair}" for pair in pairs])
+    assert "strings" not in Begun(equal, out="other").output
 
 
 def test_faces_with_numbers_and_some_with_two_strings_are_one_group():
@@ -578,8 +576,8 @@ def test_faces_with_numbers_and_some_with_two_strings_are_one_group():
 @pytest.mark.parametrize("encoding", ["utf-8", "cp1252", "cp850", "cp437"])
 def test_microamperes_are_read_in_the_encodings_of_Windows_and_DOS(encoding):
     """Of DOS, the sign for micro is another letter, and the unit was guessed as mA."""
-    rows = "\n".join(f"{time},{400000 - k},{300 + k}" for k, time in enumerate(SECONDS))
-    assert Begun(f"time,I xp µA,I xm µA\n{rows}\n".encode(encoding)).form.scale == 1e-6
+    text = table("time,I xp µA,I xm µA", [f"{400000 - k},{300 + k}" for k in range(20)])
+    assert Begun(text.encode(encoding)).form.scale == 1e-6
 
 
 def test_panels_in_another_unit_than_the_others_are_named():
@@ -589,8 +587,7 @@ def test_panels_in_another_unit_than_the_others_are_named():
 
 
 def test_negative_numbers_of_a_converter_are_no_light():
-    rows = [f"{time},{400 - k},{65533 + k % 3}" for k, time in enumerate(SECONDS)]
-    begun = Begun("\n".join(["time,iXp,iXm", *rows]))
+    begun = Begun(table("time,iXp,iXm", [f"{400 - k},{65533 + k % 3}" for k in range(20)]))
     assert begun.data["current_A"].sel(panel="-X").values.max() < 0
     with pytest.raises(SunspinError, match="negative numbers .*set wraps_at = 65536"):
         begun.opened("^wraps_at.*$", "")
@@ -610,21 +607,13 @@ def test_a_unit_of_counts_in_another_language_is_one(unit):
     assert (form.quantity, form.scale) == ("current_A", 1.0)
 
 
-def export_with_sensors() -> str:
-    """Return raw counts of panels against Unix milliseconds, with a gyro in deg/s and a magnetometer in nT."""
-    rows = list(csv.reader(io.StringIO(export("adc_{sign:pm}{axis}", 0.001))))
-    sensors = [*(f"gyr_{a}_dps" for a in "xyz"), *(f"MAG_{a} [nT]" for a in "XYZ")]
-    header = ["ts_ms", *rows[0][1:6], *sensors]
-    lines = [
-        [str(1767225600000 + 20000 * k), *row[1:6], "1.5", "-2", "3", "20000", "-5000", "30000"]
-        for k, row in enumerate(rows[1:])
-    ]
-    return "\n".join(",".join(line) for line in [header, *lines]) + "\n"
-
-
 def test_init_from_a_file_names_other_sensors_in_comments_that_can_be_opened():
-    """No unit is invented for raw counts, and times in milliseconds are read."""
-    begun = Begun(export_with_sensors())
+    """A gyro in deg/s, a magnetometer in nT. No unit is invented for raw counts, and times in milliseconds are read."""
+    names, *rows = csv.reader(io.StringIO(export("adc_{sign:pm}{axis}", 0.001)))
+    sensors = [*(f"gyr_{a}_dps" for a in "xyz"), *(f"MAG_{a} [nT]" for a in "XYZ")]
+    times = [1767225600000 + 20000 * k for k in range(len(rows))]
+    read = [f"{','.join(row[1:6])},1.5,-2,3,20000,-5000,30000" for row in rows]
+    begun = Begun(table(",".join(["ts_ms", *names[1:6], *sensors]), read, times))
     assert begun.form.quantity == "current_A" and begun.form.scale == 1.0
     assert begun.data.attrs["epoch_utc"].startswith("2026-01-01T00:00:00")
     assert 1000.0 < begun.data["current_A"].max() < 10000.0
@@ -647,41 +636,37 @@ def test_init_from_a_file_names_other_sensors_in_comments_that_can_be_opened():
 )
 def test_the_unit_in_the_names_of_a_sensors_columns_is_its_scale(gyro, field, sizes):
     """`uT` is microtesla and no word `u` before tesla."""
-    names = [*(gyro.format(a) for a in "xyz"), *(field.format(a) for a in "xyz")]
-    rows = [f"2026-01-01T00:00:{10 + k},{0.4 - k},{k},1,2,3,20,-5,30" for k in range(9)]
-    text = Begun("\n".join([",".join(["time", "i_xp_A", "i_xm_A", *names]), *rows])).text
+    names = ",".join(sensor.format(axis) for sensor in (gyro, field) for axis in "xyz")
+    file = table(
+        f"time,i_xp_A,i_xm_A,{names}", [f"{0.4 - k},{k},1,2,3,20,-5,30" for k in range(20)]
+    )
+    text = Begun(file).text
     found = re.findall(r"^# (?:scale_rad_s = (\S+) +# rate|scale_T = (\S+))", text, re.MULTILINE)
     assert ("".join(found[0]), "".join(found[1])) == sizes
 
 
-def test_init_names_columns_that_differ_from_those_of_panels_only_in_the_face():
-    rows = ["time,i_xp_ma,i_xm_ma,i_wing1_ma,i_wing2_ma,u_wing1_mv,i_xp_mv"]
-    rows += [f"{SECONDS[k]},400,0,{300 + k},{20 + k},8000,3300" for k in range(10)]
-    text = Begun("\n".join(rows)).text
-    (line,) = [line for line in text.splitlines() if line.startswith("# perhaps panels")]
-    assert line.endswith('each needs a [[panel]]: "i_wing1_ma", "i_wing2_ma"')
-
-
 @pytest.mark.parametrize(
-    ("panel", "wing", "other"),
+    ("names", "cells", "wings"),
     [
-        ("Panel {} Current", "Wing 1 Current", "Wing 1 Temperature"),
-        ("Strom {} [mA]", "Strom Flügel 1 [mA]", "Spannung Flügel 1 [mV]"),
+        ("i_xp_ma,i_xm_ma,i_wing1_ma,i_wing2_ma,u_wing1_mv,i_xp_mv", "{},8000,3300", [3, 4]),
+        ("Panel +X Current,Panel -X Current,Wing 1 Current,Wing 1 Temperature", "8000", [3]),
+        ("Strom +X [mA],Strom -X [mA],Strom Flügel 1 [mA],Spannung Flügel 1 [mV]", "8000", [3]),
     ],
 )
-def test_init_names_the_wings_of_a_file_with_other_words_than_panels(panel, wing, other):
-    rows = [f"time,{panel.format('+X')},{panel.format('-X')},{wing},{other}"]
-    rows += [f"{SECONDS[k]},400,0,{300 + k},8000" for k in range(10)]
-    lines = Begun("\n".join(rows)).text.splitlines()
-    (line,) = [line for line in lines if line.startswith("# perhaps panels")]
-    assert line.endswith(f'each needs a [[panel]]: "{wing}"')
+def test_init_names_columns_that_differ_from_those_of_panels_only_in_the_face(names, cells, wings):
+    """In other words than `panel` too: wings, by the number of their column. Neither voltages nor temperatures are named."""
+    rows = [f"400,0,{300 + k},{cells.format(20 + k)}" for k in range(20)]
+    text = Begun(table(f"time,{names}", rows)).text
+    (line,) = re.findall("^# perhaps panels.*", text, re.MULTILINE)
+    named = ", ".join(f'"{names.split(",")[column - 1]}"' for column in wings)
+    assert line.endswith(f"each needs a [[panel]]: {named}")
 
 
 @pytest.mark.parametrize(
     ("stronger", "gain", "is_named"),
     [
-        (1.0, "relative_gain = 1.0", True),
-        (3.5, "relative_gain = 1.0", False),
+        (1.0, "relative_gain = 1", True),
+        (3.5, "relative_gain = 1", False),
         (1.0, "cells = 2", False),
     ],
 )
