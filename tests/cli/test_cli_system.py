@@ -20,22 +20,12 @@ from sunspin.cli.common import COMMANDS
 from sunspin.output.folder import results_folder
 from sunspin.planning import plan
 from tests.support.rows import ELSEWHERE, heed_interrupts
+from validation import border
 
-START = ["--omega-deg-s=6,0,0", "--sun=0.1959,0.5690,0.7986"]
 
-
-@pytest.fixture
-def sunspin(monkeypatch, capsys):
-    """Run the entry point in this process: (exit code, stdout, stderr)."""
-
-    def run(*arguments):
-        monkeypatch.setattr(sys, "argv", ["sunspin", *map(str, arguments)])
-        with pytest.raises(SystemExit) as stopped:
-            cli.main()
-        printed = capsys.readouterr()
-        return stopped.value.code, printed.out, printed.err
-
-    return run
+def sunspin(*arguments):
+    """Run the entry point in this process: exit code, standard output, standard error."""
+    return border.sunspin(*map(str, arguments))[:3]
 
 
 def refused(outcome, *words):
@@ -64,14 +54,44 @@ def test_an_invalid_option_value_is_refused_with_its_form(read, given, option, t
         read(given, option)
 
 
-def test_an_option_value_that_is_empty_or_no_number_is_refused_in_plain_words(sunspin):
-    refused(sunspin("sun", "philae", "philae", "--noise=x"), "'x' is not a number")
-    refused(sunspin("rates", "philae", "philae", "--pass=1.5"), "'1.5' is not a whole number")
-    refused(sunspin("sun", "philae", "philae", "--noise=nan"), "is not a number such as -1.5e-3")
-    loud = sunspin("sun", "philae", "philae", "--noise=1e300")
-    refused(loud, "--noise must be a finite number between")
-    refused(sunspin("outcomes", "philae", "--runs=1", "--strategy="), "the value is empty")
-    refused(sunspin("outcomes", "philae", "--runs=1", "--strategy=delay:1e308"), "a delay must be")
+@pytest.fixture
+def mine(tmp_path, monkeypatch):
+    """Return the files of `sunspin init mine`, below the folder where the commands run."""
+    monkeypatch.chdir(tmp_path)
+    sunspin("init", "mine")
+    return Path("mine/vehicle.toml"), Path("mine/telemetry.csv")
+
+
+GRID = "--omega-x-deg-s must be low:high:step in deg/s"
+NO_TELEMETRY = "this is a vehicle's file and not telemetry"
+MINE = "mine/vehicle.toml mine/telemetry.csv"
+SIMULATE = "simulate philae --omega-deg-s=6,0,0 --sun=0.1959,0.5690,0.7986 --duration=10"
+
+
+@pytest.mark.parametrize(
+    ("command", "words"),
+    [
+        ("sun philae philae --noise=x", ["'x' is not a number"]),
+        ("sun philae philae --noise=nan", ["is not a number such as -1.5e-3"]),
+        ("sun philae philae --noise=1e300", ["--noise must be a finite number between"]),
+        ("rates philae philae --pass=1.5", ["'1.5' is not a whole number"]),
+        (f"rates {MINE} --pass 5", ["no such pass (found 5)", "passes 0 to 0"]),
+        (f"rates {MINE} --from 2030-01-01T00:00", ["no samples lie between", "-01T00:12:58Z"]),
+        (f"rates {MINE} --to noon:", ["ISO-8601", "noon:"]),
+        ("outcomes philae --runs=1 --strategy=", ["the value is empty"]),
+        ("outcomes philae --runs=1 --strategy=delay:1e308", ["a delay must be"]),
+        (f"{SIMULATE}e8", ["larger --step"]),
+        (f"{SIMULATE} --step=0", ["--step"]),
+        (f"{SIMULATE} --wheel-speed=1,2", ["wheel"]),
+        (f"{SIMULATE} --wheel-mode=fly", ["--wheel-mode", "coast"]),
+        ("scan philae philae --omega-x-deg-s=0:60", [GRID, "(found 0:60)", "-deg-s=-6:6:1"]),
+        ("posterior philae --phase descnt", ["phase (found descnt)", "descent", "first_rebound"]),
+        ("check mine/telemetry.csv mine/vehicle.toml", ["telemetry.csv", "comes first"]),
+        ("check mine/vehicle.toml mine/vehicle.toml", [NO_TELEMETRY, "a table of samples"]),
+    ],
+)
+def test_what_does_not_fit_an_option_or_its_file_is_refused_in_one_sentence(mine, command, words):
+    refused(sunspin(*command.split()), *words)
 
 
 BUFFERED = {name: value for name, value in os.environ.items() if name != "PYTHONUNBUFFERED"}
@@ -101,14 +121,14 @@ def test_closed_or_full_output_ends_the_program_without_a_traceback(tmp_path, wo
     assert printed is None or done.stderr.count("\n") == printed
 
 
-def test_sunspin_without_arguments_shows_the_help(sunspin):
+def test_sunspin_without_arguments_shows_the_help():
     code, out, err = sunspin()
     assert (code, err) == (0, "")
     assert out.startswith("Usage: sunspin") and "reproduce" in out
 
 
 @pytest.mark.evidence("check", "modelled", "samples with a dead panel")
-def test_check_names_the_panel_that_explains_impossible_patterns(sunspin):
+def test_check_names_the_panel_that_explains_impossible_patterns():
     """The paper's own conclusion: after the second touchdown panel 1 was shaded."""
     telemetry = Path(__file__).parents[1] / "philae" / "panels_as_drawn.csv"
     code, out, _ = sunspin("check", "philae", telemetry, "--json")
@@ -121,14 +141,7 @@ def test_check_names_the_panel_that_explains_impossible_patterns(sunspin):
     assert sum(about["status"].values()) == about["samples"]
 
 
-@pytest.fixture
-def mine(sunspin, tmp_path):
-    """Return the files of `sunspin init`."""
-    sunspin("init", tmp_path / "mine")
-    return tmp_path / "mine" / "vehicle.toml", tmp_path / "mine" / "telemetry.csv"
-
-
-def test_check_counts_the_flagged_samples(sunspin, mine):
+def test_check_counts_the_flagged_samples(mine):
     vehicle, telemetry = mine
     rows = telemetry.read_text().splitlines()
     rows[3] = rows[3].split(",", 1)[0] + ",-3,0,0,0,1"
@@ -146,14 +159,7 @@ def test_check_counts_the_flagged_samples(sunspin, mine):
     assert "1  flagged: time_not_increasing" in sunspin("check", *mine)[1]
 
 
-def test_a_pass_or_time_range_outside_the_file_is_refused_in_one_sentence(sunspin, mine):
-    refused(sunspin("rates", *mine, "--pass", "5"), "no such pass (found 5)", "passes 0 to 0")
-    words = "no samples lie between", "2026-01-01T00:12:58Z"
-    refused(sunspin("rates", *mine, "--from", "2030-01-01T00:00"), *words)
-    refused(sunspin("rates", *mine, "--to", "noon:"), "ISO-8601", "noon:")
-
-
-def test_check_prints_the_time_of_the_first_sample_and_the_epoch(sunspin, mine):
+def test_check_prints_the_time_of_the_first_sample_and_the_epoch(mine):
     vehicle, _ = mine
     text = vehicle.read_text().replace('# epoch_utc = "2026-01-01', 'epoch_utc = "2025-12-31')
     vehicle.write_text(text)
@@ -163,18 +169,16 @@ def test_check_prints_the_time_of_the_first_sample_and_the_epoch(sunspin, mine):
     assert sunspin("check", *mine, "--quiet") == (0, "", "")
 
 
-def test_a_missing_telemetry_file_is_looked_for_in_the_data_folder(
-    sunspin, mine, tmp_path, monkeypatch
-):
+def test_a_missing_telemetry_file_is_looked_for_in_the_data_folder(mine, monkeypatch):
     monkeypatch.delenv("SUNSPIN_DATA", raising=False)
-    vehicle, name = mine[0], "mine/telemetry.csv"
-    refused(sunspin("check", vehicle, name), "mine/telemetry.csv")
-    assert sunspin("check", vehicle, name, "--data", tmp_path)[0] == 0
-    monkeypatch.setenv("SUNSPIN_DATA", str(tmp_path))
-    assert sunspin("check", vehicle, name)[0] == 0
+    command = "check", mine[0], "telemetry.csv"
+    refused(sunspin(*command), "telemetry.csv")
+    assert sunspin(*command, "--data", "mine")[0] == 0
+    monkeypatch.setenv("SUNSPIN_DATA", "mine")
+    assert sunspin(*command)[0] == 0
 
 
-def test_init_writes_both_files_or_none(sunspin, tmp_path):
+def test_init_writes_both_files_or_none(tmp_path):
     (tmp_path / "telemetry.csv").symlink_to(tmp_path / "nowhere")  # exists, though it leads nowhere
     refused(sunspin("init", tmp_path), "telemetry.csv", "already")
     assert not (tmp_path / "vehicle.toml").exists()
@@ -183,7 +187,7 @@ def test_init_writes_both_files_or_none(sunspin, tmp_path):
     assert sunspin("init", tmp_path / "mine", "--quiet") == (0, "", "")
 
 
-def test_a_folder_with_other_results_is_refused_before_the_computation(sunspin, mine, monkeypatch):
+def test_a_folder_with_other_results_is_refused_before_the_computation(mine, monkeypatch):
     import sunspin.estimate.scan.volume as scan
 
     def never(*_, **__):
@@ -191,16 +195,6 @@ def test_a_folder_with_other_results_is_refused_before_the_computation(sunspin, 
 
     monkeypatch.setattr(scan, "scan", never)
     refused(sunspin("scan", *mine, "--out", mine[0].parent), "not empty", "--out")
-
-
-def test_simulate_refuses_bad_motions_durations_and_steps(sunspin):
-    for arguments, words in (
-        (["--duration=1e9"], ["larger --step"]),
-        (["--duration=10", "--step=0"], ["--step"]),
-        (["--duration=10", "--wheel-speed=1,2"], ["wheel"]),
-        (["--duration=10", "--wheel-mode=fly"], ["--wheel-mode", "coast"]),
-    ):
-        refused(sunspin("simulate", "philae", *START, *arguments), *words)
 
 
 def test_a_closed_pipe_is_no_error():
@@ -238,9 +232,7 @@ def test_an_interruption_prints_one_sentence_and_exits_with_130(kind, tmp_path):
 
 
 @pytest.mark.parametrize("stopped", [True, False])
-def test_an_exception_of_a_library_during_an_interruption_is_reported_as_the_interruption(
-    sunspin, monkeypatch, stopped
-):
+def test_an_error_of_a_library_during_an_interruption_is_reported_as_that(monkeypatch, stopped):
     """Ctrl-C in the middle of an import may be caught there, and end in another error."""
 
     def stumble(**_):
@@ -260,7 +252,7 @@ def test_an_exception_of_a_library_during_an_interruption_is_reported_as_the_int
     assert (code, "interrupted" in said, "defect" in said) == expected
 
 
-def test_an_interruption_that_a_library_swallows_is_raised_again(sunspin, monkeypatch):
+def test_an_interruption_that_a_library_swallows_is_raised_again(monkeypatch):
     def swallow(**_):
         try:
             interruption.stop()
@@ -276,34 +268,29 @@ def test_an_interruption_that_a_library_swallows_is_raised_again(sunspin, monkey
     assert signal.getitimer(signal.ITIMER_REAL)[0] == 0
 
 
-def run_program(tmp_path, text):
-    """Run a program that begins with the command line's parts, as a module; assert one sentence on an interruption."""
-    (tmp_path / "program.py").write_text(f"from sunspin.cli import cli, main, interruption\n{text}")
+FROM_TEXT = "exec('interruption.stop()')"
+WITH_THREAD = """
+    from concurrent.futures import ThreadPoolExecutor
+    ThreadPoolExecutor(1, interruption.THREADS).submit(time.sleep, 60)
+    interruption.stop()
+"""
+
+
+@pytest.mark.parametrize("work", [FROM_TEXT, WITH_THREAD], ids=["from a text", "with a thread"])
+def test_an_interruption_in_code_from_a_text_or_beside_a_thread_leaves_the_exit_code(
+    tmp_path, work
+):
+    """Python would end by the signal instead, so that a shell sees no exit code, or wait for threads that compute."""
+    begin = "import time\nfrom sunspin.cli import cli, main, interruption\n"
+    program = f"{begin}def work(**_):\n    {work}\ncli.main = work\nmain()\n"
+    (tmp_path / "program.py").write_text(program)
     command = [sys.executable, "-m", "program"]
     options = {"cwd": tmp_path, "env": ELSEWHERE, "capture_output": True, "text": True}
     done = subprocess.run(command, timeout=30, **options)
     assert (done.returncode, done.stderr.count("\n")) == (130, 1)
 
 
-def test_an_interruption_in_code_compiled_from_a_text_leaves_the_exit_code(tmp_path):
-    """Python would end by the signal instead, so that a shell sees no exit code."""
-    run_program(tmp_path, "cli.main = lambda **_: exec('interruption.stop()')\nmain()\n")
-
-
-def test_an_interruption_does_not_wait_for_threads_that_compute(tmp_path):
-    run_program(
-        tmp_path,
-        "import time\n"
-        "from concurrent.futures import ThreadPoolExecutor\n"
-        "def work(**_):\n"
-        "    ThreadPoolExecutor(1, interruption.THREADS).submit(time.sleep, 60)\n"
-        "    interruption.stop()\n"
-        "cli.main = work\n"
-        "main()\n",
-    )
-
-
-def test_an_interrupted_plan_prints_its_complete_rounds_and_exits_with_130(sunspin, monkeypatch):
+def test_an_interrupted_plan_prints_its_complete_rounds_and_exits_with_130(monkeypatch):
     def interrupted(*arguments, **options):
         result = plan(*arguments, **options | {"samples": 3, "passes": 1})
         return result.assign_attrs(interrupted=1)
@@ -313,24 +300,10 @@ def test_an_interrupted_plan_prints_its_complete_rounds_and_exits_with_130(sunsp
     assert (code, said) == (130, "sunspin: interrupted, 1 of 2 rounds are complete and printed\n")
 
 
-def test_files_given_in_the_wrong_order_get_a_message_on_the_order(sunspin, mine):
-    vehicle, table = mine
-    refused(sunspin("check", table, vehicle), "telemetry.csv", "comes first")
-    words = "this is a vehicle's file and not telemetry", "a table of samples"
-    refused(sunspin("check", vehicle, vehicle), *words)
-
-
 def test_the_option_for_observed_rates_of_the_posterior_is_in_deg_s():
     seen = values.parse_observation("5,180,0,-90,18", "--gyro-deg-s")
     assert seen["t_s"] == 5 and seen["sigma"] == pytest.approx(np.pi / 10)
     assert seen["value"] == pytest.approx([np.pi, 0, -np.pi / 2])
-
-
-def test_a_grid_without_a_step_and_a_misspelt_phase_get_a_message_on_their_form(sunspin):
-    words = "--omega-x-deg-s must be low:high:step in deg/s", "(found 0:60)", "-deg-s=-6:6:1"
-    refused(sunspin("scan", "philae", "philae", "--omega-x-deg-s=0:60"), *words)
-    words = "no such phase (found descnt)", "descent", "first_rebound"
-    refused(sunspin("posterior", "philae", "--phase", "descnt"), *words)
 
 
 NO_TEXT = (click.types.BoolParamType, click.types.Choice)
@@ -346,18 +319,17 @@ def takers():
 
 
 @pytest.mark.parametrize("empty", ["", " ", "\t"])
-def test_no_option_or_argument_takes_an_empty_text(empty, sunspin, tmp_path, monkeypatch):
+def test_no_option_or_argument_takes_an_empty_text(empty, tmp_path, monkeypatch):
     """As a path an empty text is the present folder: `init ""` wrote there."""
     monkeypatch.chdir(tmp_path)
-    count = 0
-    for name, command, parameter in takers():
+    texts = list(takers())
+    for name, command, parameter in texts:
         arguments = [one for one in command.params if isinstance(one, click.Argument)]
         before = [empty if one is parameter else "philae" for one in arguments]
         option = [] if isinstance(parameter, click.Argument) else [parameter.opts[0], empty]
         outcome = sunspin(name, *before, *option)
         refused(outcome, f"Invalid value for '{option[0] if option else ''}", "the value is empty")
-        count += 1
-    assert count > 100 and not list(tmp_path.iterdir())
+    assert len(texts) > 100 and not list(tmp_path.iterdir())
 
 
 @pytest.mark.parametrize("encoding", ["latin-1", "utf-8"])
@@ -369,7 +341,7 @@ def test_a_name_with_unprintable_characters_is_escaped(encoding, tmp_path):
     assert ("caf\u00e9\u2603" if encoding == "utf-8" else "\\u2603") in done.stdout.decode(encoding)
 
 
-def test_a_path_of_thousands_of_folders_is_refused(sunspin, undrawn):
+def test_a_path_of_thousands_of_folders_is_refused(undrawn):
     """They are made from within, each by a call in the call before, of which Python allows a thousand."""
     deep, words = "d/" * 1500 + "x", "no folder can have this name"
     refused(sunspin("init", deep), words)
