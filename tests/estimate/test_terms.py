@@ -13,20 +13,13 @@ from sunspin.estimate.chain import equations, fit
 from sunspin.estimate.model import Body, Model, Noise, Observations, States, Track
 from sunspin.estimate.observe import observe
 from sunspin.estimate.settings import FIELD_TURN
+from sunspin.estimate.terms import torques
 from sunspin.estimate.terms.directions import SunDirections
 from sunspin.estimate.terms.earth_light import EarthLight
 from sunspin.estimate.terms.field import FieldChange, KnownField
 from sunspin.estimate.terms.inertial import AttitudeChange, GyroRates, Latency, RateMagnitudes
 from sunspin.estimate.terms.panels import DEFAULT_EARTH_SHARE, Panels, ReadingTimes
 from sunspin.estimate.terms.term import facing
-from sunspin.estimate.terms.torques import (
-    ConstantTorque,
-    GravityTorque,
-    MagneticTorque,
-    Ramp,
-    StatedDipole,
-    WheelChange,
-)
 from sunspin.solve.rotations import rotate_attitude, rotation_between
 from sunspin.telemetry.assess import assess
 from sunspin.telemetry.gains import FAINT
@@ -41,10 +34,15 @@ T_S = np.array([0.0, 11.0, 25.0, 33.0, 48.0, 60.0])
 N = len(T_S)
 
 
+def turns(vectors):
+    """Return rotation matrices by rotation vectors."""
+    return Rotation.from_rotvec(vectors).as_matrix()
+
+
 def motions(rng, size=0.02, count=2):
     """Return motions of slow bodies whose attitudes follow no equations of motion."""
-    turns = Rotation.from_rotvec(rng.normal(size=(count * N, 3))).as_matrix()
-    return States(turns.reshape(count, N, 3, 3), size * rng.normal(size=(count, N, 3)))
+    attitude = turns(rng.normal(size=(count * N, 3))).reshape(count, N, 3, 3)
+    return States(attitude, size * rng.normal(size=(count, N, 3)))
 
 
 def field_N():
@@ -65,12 +63,6 @@ def known_field(rng):
     own, along = 1e-6 * rng.normal(size=(2, N, 4, 3))
     read = field_N() + 1e-6 * rng.normal(size=(N, 3))
     return KnownField(T_S, read, np.full(N, 5e-7), field_N(), own, along, 5e-7)
-
-
-def attitude_change(rng):
-    """Return an attitude sensor."""
-    read = Rotation.from_rotvec(0.3 * rng.normal(size=(N, 3))).as_matrix()
-    return AttitudeChange(T_S, read, 0.05)
 
 
 def bare_panels(rng, scale_sigma=0.05, unread=0.0, late_s=0.0):
@@ -105,6 +97,12 @@ def without_one(read):
     return read
 
 
+def gyro(rng, drifts_over=None):
+    """Return a gyro with an uncertain zero and scale, which may drift, of which one reading is missing."""
+    read, zero_sigma = without_one(0.02 * rng.normal(size=(N, 3))), np.array([1e-3, 2e-3, 0.0])
+    return GyroRates(read, np.arange(float(N)), 1e-3, zero_sigma, 0.01, drifts_over=drifts_over)
+
+
 TERMS = {
     "direction": lambda rng: directions(rng, double=False),
     "two meanings": lambda rng: directions(rng, double=True),
@@ -113,18 +111,11 @@ TERMS = {
     "size of the rate": lambda rng: RateMagnitudes(without_one(0.04 * rng.random(N)), 0.005, 0.2),
     "neighbours": field_change,
     "known field": known_field,
-    "attitude": attitude_change,
+    "attitude": lambda rng: AttitudeChange(T_S, turns(0.3 * rng.normal(size=(N, 3))), 0.05),
     "free light": lambda rng: panels(rng, known=False),
     "known light": lambda rng: panels(rng, known=True),
-    "gyro": lambda rng: GyroRates(
-        *(without_one(0.02 * rng.normal(size=(N, 3))), np.arange(float(N))),
-        *(1e-3, np.array([1e-3, 2e-3, 0.0]), 0.01),
-    ),
-    "drifting gyro": lambda rng: GyroRates(
-        *(without_one(0.02 * rng.normal(size=(N, 3))), np.arange(float(N))),
-        *(1e-3, np.array([1e-3, 2e-3, 0.0]), 0.01),
-        drifts_over=(0.0, N - 1.0),
-    ),
+    "gyro": gyro,
+    "drifting gyro": lambda rng: gyro(rng, (0.0, N - 1.0)),
 }
 
 
@@ -215,14 +206,13 @@ def test_a_magnetic_torque_is_averaged_over_revolutions(size, known):
     seen = motions(rng, size=1.0, count=1)
     seen = replace(seen, omega=np.repeat(size * seen.omega[:, :1], N, axis=1))
     direction = np.array([0.3, -0.4, 1.2])
-    term = MagneticTorque.in_field(np.tile(direction, (N, 1)) if known else None)
+    term = torques.MagneticTorque.in_field(np.tile(direction, (N, 1)) if known else None)
     dt = np.diff(T_S)
     push = term.added_by_unknowns(seen, dt)[0, 3]
     share = (np.arange(4000) + 0.5) / 4000
     attitude = rotate_attitude(seen.attitude[0, 3], share[:, None] * seen.omega[0, 3] * dt[3])
     if known:
-        unit = direction / np.linalg.norm(direction)
-        each = np.cross(np.eye(3), (attitude @ unit)[:, None]) / np.sqrt(2)
+        each = np.cross(np.eye(3), (attitude @ units(direction))[:, None]) / np.sqrt(2)
     else:
         columns = np.swapaxes(attitude, 1, 2)
         each = np.cross(np.eye(3)[:, None], columns[:, None]).reshape(-1, 9, 3) / np.sqrt(6)
@@ -232,19 +222,17 @@ def test_a_magnetic_torque_is_averaged_over_revolutions(size, known):
     assert np.allclose(push[:3], dt[3] ** 2 * (early * acceleration).mean(axis=0), atol=1e-7)
 
 
-def test_a_stated_dipole_in_a_constant_field_accelerates_evenly():
-    term = StatedDipole(np.array([0.0, 0.0, 2e-6]), np.tile([1.0, 0.0, 0.0], (N, 1)))
+def test_a_stated_dipole_and_gravity_push_as_the_closed_forms_say():
+    """Evenly in a constant field; a body with its long axis (z, the least moment) 0.1 rad off the nadir is turned towards it."""
+    term = torques.StatedDipole(np.array([0.0, 0.0, 2e-6]), np.tile([1.0, 0.0, 0.0], (N, 1)))
     dt = np.diff(T_S)
     pushed = term.added_by_torque(motions(np.random.default_rng(1)), dt)
     assert np.allclose(pushed[0, :, 4], 2e-6 * dt) and np.allclose(pushed[0, :, 1], 1e-6 * dt**2)
     assert np.abs(pushed[..., [0, 2, 3, 5]]).max() == 0.0
 
-
-def test_gravity_turns_the_long_axis_to_the_earth():
-    """A body with its long axis (z, the least moment) 0.1 rad off the nadir is turned towards it, as the closed form says."""
     inertia = np.diag([1.3, 1.3, 0.4])
-    attitude = np.tile(Rotation.from_rotvec([0.1, 0.0, 0.0]).as_matrix(), (1, 2, 1, 1))
-    term = GravityTorque(np.tile([0.0, 0.0, 1.0], (2, 1)), np.full(2, 3e-6), inertia)
+    attitude = np.tile(turns([0.1, 0.0, 0.0]), (1, 2, 1, 1))
+    term = torques.GravityTorque(np.tile([0.0, 0.0, 1.0], (2, 1)), np.full(2, 3e-6), inertia)
     pushed = term.added_by_torque(States(attitude, np.zeros((1, 2, 3))), np.array([10.0]))[0, 0]
     nadir = attitude[0, 0] @ [0.0, 0.0, 1.0]
     pull = 3e-6 * np.cross(nadir, inertia @ nadir) / np.diag(inertia)
@@ -279,17 +267,17 @@ def difference(first, second):
 def test_a_constant_torque_pushes_as_an_integration_with_it_does(frame):
     momentum, omega = np.array([0.0, 0.01, 0.0]), np.array([0.05, -0.02, 0.08])
     attitude = facing(np.array([0.6, 0.0, 0.8]))
-    torque = ConstantTorque(frame, 1.0, (1.0,), MOMENTS, np.tile(momentum, (2, 1)))
+    torque = torques.ConstantTorque(frame, 1.0, (1.0,), MOMENTS, np.tile(momentum, (2, 1)))
     seen = States(np.tile(attitude, (1, 2, 1, 1)), np.tile(omega, (1, 2, 1)))
     push = torque.added_by_unknowns(seen, np.array([DT]))[0, 0]
 
     def end(axis):
         """Return the end of a motion under a torque along an axis of the body or of space."""
-
-        def of_attitude(turned):
-            return SIZE * (axis if frame == "B" else turned @ attitude @ axis)
-
-        return integrated(omega, lambda t: momentum, of_attitude)
+        in_B = {
+            "B": lambda turned: SIZE * axis,
+            "N": lambda turned: SIZE * turned @ attitude @ axis,
+        }
+        return integrated(omega, lambda t: momentum, in_B[frame])
 
     free = end(np.zeros(3))
     for k, axis in enumerate(np.eye(3)):
@@ -301,33 +289,31 @@ def test_a_wheel_that_changes_its_speed_turns_the_body_as_an_integration_does():
     """Along a ramp within the interval, and by each error of the ramp and of the momentum at the knots."""
     axis, omega = np.array([0.0, 0.6, 0.8]), np.array([0.03, -0.02, 0.05])
     h = np.array([0.0, 0.01, 0.0])
-    t_s, ramp = np.array([0.0, DT]), Ramp(2.0, 6.0, SIZE)
+    t_s, ramp = np.array([0.0, DT]), torques.Ramp(2.0, 6.0, SIZE)
     momentum = h + np.outer(ramp.change(t_s), axis)
-    wheel = WheelChange(t_s, axis, ramp, 1.0, MOMENTS, momentum)
+    wheel = torques.WheelChange(t_s, axis, ramp, 1.0, MOMENTS, momentum)
     seen = States(np.tile(np.eye(3), (1, 2, 1, 1)), np.tile(omega, (1, 2, 1)))
 
-    def change(lost, before):
-        """Return what a change of the wheel's momentum, lost(t), adds to that of another one."""
-        return difference(
-            *(integrated(omega, lambda t, f=f: h + f(t) * axis) for f in (before, lost))
-        )
+    def end(lost):
+        """Return the end of a motion with this momentum, lost(t), taken up by the wheel."""
+        return integrated(omega, lambda t: h + lost(t) * axis)
 
-    def straight(t):
-        return SIZE * t / DT
+    straight, after_ramp = end(lambda t: SIZE * t / DT), end(ramp.change)
 
     known = wheel.added_by_torque(seen, np.array([DT]))[0, 0]
     # a ramp in the middle is even about it
-    assert np.abs(known).max() < 1e-12 and np.abs(change(ramp.change, straight)).max() < 0.1 * SIZE
-    late = replace(wheel, ramp=Ramp(5.0, 7.0, SIZE))
+    assert np.abs(known).max() < 1e-12
+    assert np.abs(difference(straight, after_ramp)).max() < 0.1 * SIZE
+    late = replace(wheel, ramp=torques.Ramp(5.0, 7.0, SIZE))
     known = late.added_by_torque(seen, np.array([DT]))[0, 0]
-    exact = change(late.ramp.change, straight)
+    exact = difference(straight, end(late.ramp.change))
     # the body turns by 0.5 rad in the interval; to first order in that
     assert np.allclose(known[:3], exact[:3], atol=0.15 * np.abs(exact[:3]).max())
 
     by_errors = wheel.added_by_unknowns(seen, np.array([DT]))[0, 0]
-    longer = change(lambda t: 1.1 * ramp.change(t), ramp.change) / 0.1
+    longer = difference(after_ramp, end(lambda t: 1.1 * ramp.change(t))) / 0.1
     assert np.allclose(by_errors[:, 0], longer, atol=0.05 * np.abs(longer).max())
-    later = change(Ramp(2.0, 6.1, SIZE).change, ramp.change) / 0.1
+    later = difference(after_ramp, end(torques.Ramp(2.0, 6.1, SIZE).change)) / 0.1
     assert np.allclose(by_errors[:3, 2], later[:3], atol=0.15 * np.abs(later[:3]).max())
 
 
@@ -418,17 +404,11 @@ def test_without_albedo_no_light_of_the_earth_is_estimated():
 
 
 def test_samples_without_a_gyro_reading_do_not_sharpen_it_in_the_search():
-    read = np.full((100, 3), np.nan)
-    read[::10] = 0.02
-    t_s = np.arange(float(len(read)))
-    gyro = GyroRates(read, t_s, 1e-4, np.full(3, 1e-2), 0.0)
-    assert gyro.for_search()[0].sigma == pytest.approx(1e-2, rel=1e-3)
-    assert (
-        GyroRates(np.full((5, 3), np.nan), np.arange(5.0), 1e-4, np.full(3, 1e-2), 0.0)
-        .for_search()[0]
-        .sigma
-        == 1e-4
-    )
+    unread, some = np.full((2, 100, 3), np.nan)
+    some[::10] = 0.02
+    for read, sigma in ((some, pytest.approx(1e-2, rel=1e-3)), (unread, 1e-4)):
+        gyro = GyroRates(read, np.arange(100.0), 1e-4, np.full(3, 1e-2), 0.0)
+        assert gyro.for_search()[0].sigma == sigma
 
 
 @pytest.mark.parametrize(("count", "field"), [(1, True), (1, False), (6, True)])
