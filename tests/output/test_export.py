@@ -61,7 +61,8 @@ def body_from_n(result):
 def quaternions(text, form):
     """The quaternions (n, 4) of a message, scalar last."""
     if form == "xml":
-        states = ElementTree.fromstring(text).iterfind(".//quaternionEphemeris/quaternion")
+        path = "./body/segment/data/attitudeState/quaternionEphemeris/quaternion"
+        states = ElementTree.fromstring(text).findall(path)
         rows = [[state.find(key).text for key in ("Q1", "Q2", "Q3", "QC")] for state in states]
     else:
         rows = [line.split()[1:] for line in text.splitlines() if line.startswith("2014-11-12T")]
