@@ -1,6 +1,7 @@
 """The result of `posterior` on a short pass of a box with a wheel: its schema, and that it holds the truth."""
 
 import json
+import re
 
 import numpy as np
 import pytest
@@ -65,6 +66,17 @@ def test_results_do_not_depend_on_the_number_of_workers(result):
     for name in ("omega_B", "log_likelihood_sum", "inertia_zz"):
         expected = result["posterior"][name].values
         np.testing.assert_allclose(again["posterior"][name].values, expected, rtol=1e-9)
+
+
+def test_samples_that_motions_explain_are_named_and_decided_by_themselves():
+    """The rate jumps after nine of 13 samples, so that no motion explains all."""
+    telemetry = box_telemetry(steps=4, step_rad_s=0.03)
+    whole = of_box(telemetry)
+    assert whole.attrs["verdict_word"] == "not sure"
+    advice = re.search(r"--from (\d+) --to (\d+)", whole.attrs["verdict"])
+    assert advice is not None, whole.attrs["verdict"]
+    part = of_box(telemetry, begin_s=float(advice[1]), end_s=float(advice[2]))
+    assert part.attrs["verdict_word"] == "unique" and sigmas_off(part, BOX_OMEGA)[0] < 3
 
 
 def test_a_period_that_no_draw_has_decides_nothing(result):

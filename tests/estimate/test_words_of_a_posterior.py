@@ -76,6 +76,7 @@ def aliases(*probability: float, apart: float = 0.1) -> PosteriorFindings:
         (replace(GOOD, p_value=0.0, dark="no panel lit"), "not explained", "If this is an eclipse"),
         (replace(GOOD, pareto_k=0.6, dark="no panel lit"), "not sure", "If this is an eclipse"),
         (replace(NONE_FITS, dark="no panel lit"), "not sure", "If this is an eclipse"),
+        (replace(GOOD, p_value=0.001, part="motions fit 9"), "not sure", "searched fits; motions"),
     ],
 )
 def test_word_and_sentence_follow_from_the_findings(findings, word, text):

@@ -110,11 +110,22 @@ def box() -> Vehicle:
     )
 
 
-def box_telemetry(torque_N_m: np.ndarray | None = None) -> xr.Dataset:
-    """Return telemetry that begins with `BOX_OMEGA` and `BOX_SUN`, under a torque constant in the body if there is one."""
+def box_telemetry(
+    torque_N_m: np.ndarray | None = None, steps: int = 0, step_rad_s: float = 0.0
+) -> xr.Dataset:
+    """Return telemetry that begins with `BOX_OMEGA` and `BOX_SUN`, under a torque constant in the body if there is one.
+
+    After nine samples the rate jumps by `step_rad_s` about each axis, and as many samples as `steps` follow, 15 s apart.
+    """
     craft = box()
     torques = [] if torque_N_m is None else [Steady(np.stack([torque_N_m, np.zeros(3)]))]
     run = ss.propagate(craft, BOX_OMEGA, BOX_SUN, [100.0], BOX_T_S, torques=torques)
-    power = ss.panel_power(craft, run["sun_B"].values)
+    t_s, sun = BOX_T_S, run["sun_B"].values
+    if steps:
+        omega, speed = run["omega_B"].values[-1] + step_rad_s, run["wheel_speed_rad_s"].values[-1]
+        after_s = BOX_T_S[1] * np.arange(1, steps + 1)
+        after = ss.propagate(craft, omega, sun[-1], speed, np.append(0.0, after_s))
+        t_s, sun = np.append(t_s, t_s[-1] + after_s), np.vstack([sun, after["sun_B"].values[1:]])
+    power = ss.panel_power(craft, sun)
     noise = BOX_NOISE_W * np.random.default_rng(0).standard_normal(power.shape)
-    return _dataset(craft, BOX_T_S, power + noise)
+    return _dataset(craft, t_s, power + noise)

@@ -38,6 +38,7 @@ from sunspin.estimate.lander.verdict import (
     PosteriorFindings,
     accused_panels,
     dark_stretch,
+    explained_part,
     one_plane,
     pass_row,
     posterior_words,
@@ -468,6 +469,7 @@ def _findings(
         dark=dark_stretch(t_s[read], sunlit[read]),
         alike=alike_motions(nominal.assessment.vehicle) or one_plane(panels),
         noise_factor=float(np.exp(check.noise_sigmas * noise_sigma)),
+        part=explained_part(t_s, nominal.carrier.explained),
     )
 
 

@@ -57,7 +57,8 @@ class Shooting:
 
     Samples are at the times `t_s` (n) from the reference; a window is a slice of them. `doubts`: on the search so far; `work`:
     motions times samples that were fitted to windows (the fits to all samples are not counted); `stages`: windows;
-    `starts`: windows with the motions at which the search begins there, once they are computed.
+    `starts`: windows with the motions at which the search begins there, once they are computed; `explained`: the largest window
+    that some motion fits.
     """
 
     def __init__(
@@ -83,6 +84,7 @@ class Shooting:
         self.work = 0
         self.stages: list[Stage] = []
         self.starts: list[tuple[slice, LanderMotions]] = []
+        self.explained = reference.window
         self._fitted_to_window = 0
 
     def under(self, model: LanderModel) -> Shooting:
@@ -124,6 +126,8 @@ class Shooting:
         """Add a window to `stages`, and call the `watch` of the settings; `kept`: what is left of the motions fitted to it last."""
         samples = window.stop - window.start
         self.stages.append(Stage(samples, self._fitted_to_window, len(kept)))
+        if np.min(kept.cost, initial=np.inf) <= self.cost_limit(window):
+            self.explained = window
         if self.settings.search.watch is not None:
             self.settings.search.watch(window, kept)
 

@@ -34,6 +34,10 @@ ACCUSED_SHARE, ACCUSED_LEAST = 0.4, 3
 DARK_RUN = 3
 """As many samples in a row without a lit panel may be in the shadow of a planet, which no motion explains."""
 
+EXPLAINED_PART = 0.5
+"""Least part of the samples that motions must explain to be named, if none explains all. In 24 files with exchanged columns or a
+wheel that stands still they explain 3 to 7 of 16; in a right one, in which the search lost the true motion, 31 of 40."""
+
 
 @dataclass(frozen=True)
 class PosteriorFindings:
@@ -43,7 +47,8 @@ class PosteriorFindings:
     the root mean square `speed`, rad/s. `interval_s`: median time between samples; `p_value`, `noise_sigmas`: of the predictive
     check; `accused`: sentences on panels with many outliers; `pareto_k`, `effective`: Pareto index and effective sample size of the
     draws; `doubts`: on search and draws; `dark`: when no panel was lit, in words, or empty; `alike`: which solutions panels on
-    shared inputs cannot distinguish, in words, or empty; `noise_factor`: noise over the assumed one.
+    shared inputs cannot distinguish, in words, or empty; `noise_factor`: noise over the assumed one; `part`: which samples motions
+    explain, in words, if not all (:func:`explained_part`).
     """
 
     probability: np.ndarray
@@ -60,6 +65,7 @@ class PosteriorFindings:
     dark: str
     alike: str = ""
     noise_factor: float = 1.0
+    part: str = ""
 
     @property
     def counted(self) -> np.ndarray:
@@ -95,9 +101,11 @@ class PosteriorFindings:
 def posterior_words(findings: PosteriorFindings) -> tuple[str, str]:
     """Return the word of the verdict (unique, aliases, line, not explained, not sure) and its sentence."""
     doubts = [doubt.text for doubt in findings.doubts]
-    if findings.refused and any(doubt.left_out for doubt in findings.doubts):
-        text = f"not sure: {'; '.join(doubts)}; none of the solutions searched fits"
-        return "not sure", text + _eclipse_text(findings)
+    # if motions explain most of the samples, the motion may change after them, or the search has lost the true one there
+    if findings.refused and (findings.part or any(doubt.left_out for doubt in findings.doubts)):
+        part = [findings.part] if findings.part else []
+        text = "; ".join([*doubts, "none of the solutions searched fits", *part])
+        return "not sure", f"not sure: {text}{_eclipse_text(findings)}"
     if findings.refused:
         return "not explained", _not_explained(findings)
     # symmetric solutions are fitted too: of a unique solution they do not fit, because inertia or wheels exclude them
@@ -175,6 +183,20 @@ def dark_stretch(t_s: np.ndarray, lit: np.ndarray) -> str:
         return ""
     k = int(np.argmax(end - begin))
     return f"no panel lit from {t_s[begin[k]]:.6g} to {t_s[end[k] - 1]:.6g} s ({count} samples)"
+
+
+def explained_part(t_s: np.ndarray, window: slice) -> str:
+    """Return in words which samples motions explain, and what to do; empty if all, or less than `EXPLAINED_PART` of them.
+
+    `t_s` (n): times of the samples from the epoch, s; `window`: the largest one of the search that some motion fits.
+    """
+    count = window.stop - window.start
+    if count == len(t_s) or count < EXPLAINED_PART * len(t_s):
+        return ""
+    # rounded outwards, so that none of these samples is left out
+    begin, end = np.floor(t_s[window.start]), np.ceil(t_s[window.stop - 1])
+    do = f"estimate them by themselves (--from {begin:.0f} --to {end:.0f})"
+    return f"motions fit the {count} samples from {begin:.0f} to {end:.0f} s: {do}"
 
 
 def one_plane(panels: PanelPowers) -> str:
