@@ -108,6 +108,17 @@ def test_the_error_of_a_wheel_at_rest_is_that_of_the_file():
     assert model_of(craft, samples(craft), wheel_speed=0.1)[1]["wheel_speed"] == "0.1 (given)"
 
 
+def test_gain_sigmas_come_from_the_file_unless_given():
+    craft = small_cube()
+    gain = craft.panels[1].gain
+    stated = replace(craft, facts={f"panel.{craft.panels[1].name}.gain_A": Fact(gain, 0.03 * gain)})
+    model, said = model_of(stated, samples(craft))
+    gains = {unknown.name: unknown.sigma for unknown in model.unknowns if unknown.kind == "gain"}
+    assert gains == {f"log_gain_{craft.input_names[1]}": pytest.approx(0.03)}
+    assert said["gain"] == "0 (assumed); 0.03 (vehicle file)"
+    assert len(model_of(stated, samples(craft), gain=0.02)[0].indices("gain")) == 6
+
+
 def test_misalignment_sigmas_come_from_the_file_unless_given():
     craft = small_cube()
     telemetry = samples(craft)

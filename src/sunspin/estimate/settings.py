@@ -696,6 +696,12 @@ class ShootingSettings:
     family_directions: int = 3
     """Number of directions along which neighbours are placed: the least constrained ones."""
 
+    valley_sigmas: float = 2.5
+    """Along the least constrained direction a motion gets neighbours up to this many sigmas away, `neighbour_rad` apart."""
+
+    valley_each: int = 12
+    """Most of these neighbours on either side."""
+
     again_from: float = 1.35
     """Growth of the window's end after which a motion gets further neighbours."""
 

@@ -87,6 +87,11 @@ class Shooting:
         self.explained = reference.window
         self._fitted_to_window = 0
 
+    @property
+    def explains_all(self) -> bool:
+        """Return whether some motion fits all samples, once they were searched."""
+        return self.explained == slice(0, len(self.t_s))
+
     def under(self, model: LanderModel) -> Shooting:
         """Return a new search of the same readings under a model with a constant torque."""
         size = self.s.searched_under

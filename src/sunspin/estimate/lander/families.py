@@ -122,6 +122,10 @@ def with_neighbours(
     A motion belongs to a family if some combination of rate and direction leaves the attitude at that time uncertain by more than
     `family_rad`. Its neighbours are displaced along the most uncertain combinations, alone and together. They have the unknowns of
     that motion, which the next fit changes. The prior limits rates to `max_rate` (rad/s).
+
+    Along the most uncertain one there are more, up to `valley_sigmas`. A few samples of a slow body hardly determine the rate
+    about the Sun direction: the cost has a long flat valley, of which one motion is kept. In a larger window the valley breaks into
+    several minima.
     """
     # covariance of rate and direction with a weak prior, as a rotation (rad) at that time
     to_rad = np.array([reach_s] * 3 + [1.0] * 2)
@@ -144,10 +148,22 @@ def with_neighbours(
             continue
         step = s.neighbour_rad * along[rows] @ np.array(signs, dtype=np.float64) / to_rad
         moved = originals.take(rows)
-        omega, sun = moved.omega + step[:, RATE], move_on_sphere(moved.sun, step[:, SUN])
-        parts.append(replace(moved, omega=omega, sun=sun, starts=np.ones_like(moved.starts)))
+        parts.append(_displaced(moved, step))
+    # farther along the loosest combination
+    in_valley = np.flatnonzero(free[:, 0]) if len(motions) <= s.few_starts else np.arange(0)
+    for number in range(2, s.valley_each + 1):
+        rows = in_valley[number * s.neighbour_rad < s.valley_sigmas * width[in_valley, 0]]
+        for side in (1.0, -1.0):
+            step = side * number * s.neighbour_rad * along[rows, :, 0] / to_rad
+            parts.append(_displaced(originals.take(rows), step))
 
     # all original motions, and the first neighbour in each box that holds no other motion
     every = LanderMotions.joined(parts)
     _, first = np.unique(boxes(every, reach_s, s), axis=0, return_index=True)
     return every.take(np.union1d(first, np.arange(len(motions))))
+
+
+def _displaced(motions: LanderMotions, step: np.ndarray) -> LanderMotions:
+    """Return motions (K) displaced by steps (K, 5) of rate (rad/s) and direction (rad), as starts of their own."""
+    omega, sun = motions.omega + step[:, RATE], move_on_sphere(motions.sun, step[:, SUN])
+    return replace(motions, omega=omega, sun=sun, starts=np.ones_like(motions.starts))

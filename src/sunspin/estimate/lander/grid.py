@@ -51,6 +51,9 @@ MIDDLES = 0.25 + 0.5 * CORNERS
 POINTS = 0.5 * CORNERS[:, None] + 0.25 * (0.5 + CORNERS)
 """Points (8 eighths, 8, 3) at which readings are compared, in parts of the edge."""
 
+NO_SAMPLES = slice(0, 0)
+"""An empty window."""
+
 
 @dataclass(frozen=True)
 class Reference:
@@ -91,20 +94,23 @@ class Reference:
 # ---- the reference ---------------------------------------------------------------------------------------------------------
 
 
-def choose_reference(model: LanderModel, s: GridSettings, given_rate: bool = False) -> Reference:
+def choose_reference(
+    model: LanderModel, s: GridSettings, given_rate: bool = False, besides: slice = NO_SAMPLES
+) -> Reference:
     """Return the reference with the shortest search, among samples at which no wheel can have stopped.
 
-    `given_rate`: whether the caller stated the largest rate. Then InputError if it needs more starts than can be tried. InputError
-    also for motions that need too many integration steps.
+    If it can, it is away from the window `besides`, so that its own window has none of these samples. `given_rate`: whether the
+    caller stated the largest rate. Then InputError if it needs more starts than can be tried. InputError also for motions that need
+    too many integration steps.
     """
-    reference, needed = _shortest_search(model, s)
+    reference, needed = _shortest_search(model, s, besides)
     if given_rate and needed > s.most_starts:
         # find the largest rate that can be searched, for the message; another reference may then be the best one
         smaller, of_smaller, starts = model, reference, needed
         while starts > s.most_starts:
             limit = 0.99 * rate_limit(s.most_starts / len(of_smaller.suns), of_smaller.edge)
             smaller = replace(smaller, max_rate=float(f"{limit:.3g}"))
-            of_smaller, starts = _shortest_search(smaller, s)
+            of_smaller, starts = _shortest_search(smaller, s, besides)
         what = f"max_rate_rad_s asks for {needed:.2g} starts, and {s.most_starts:.0e} at most can be tried in an hour"
         raise InputError(
             what,
@@ -116,7 +122,9 @@ def choose_reference(model: LanderModel, s: GridSettings, given_rate: bool = Fal
     return reference
 
 
-def _shortest_search(model: LanderModel, s: GridSettings) -> tuple[Reference, float]:
+def _shortest_search(
+    model: LanderModel, s: GridSettings, besides: slice
+) -> tuple[Reference, float]:
     """Return the reference with the shortest search, and the number of its starts with rates up to the limit of the prior.
 
     The time of a search is estimated: that of the starts, plus that of the motions which fit the first few samples. The number of
@@ -126,6 +134,8 @@ def _shortest_search(model: LanderModel, s: GridSettings) -> tuple[Reference, fl
     t_s, panels = model.obs.t_s, model.panels
     read = np.flatnonzero(panels.present())  # samples with any reading
     lit = np.flatnonzero(panels.lit.any(axis=1))
+    away = lit[(lit + 1 < besides.start) | (lit - 1 >= besides.stop)]
+    lit = away if len(away) else lit
     # The reference may be a lit sample at which all wheels still run and have lost little momentum. Some of these are tried.
     choices = [k for k in lit if _wheels_run(model, t_s[k], s)] or [lit[0]]
     slow = [k for k in choices if model.spun_up(t_s[k]) <= s.most_spun * model.max_rate]

@@ -28,6 +28,7 @@ from sunspin.estimate.settings import (
 from sunspin.estimate.terms.powers import PanelPowers, panel_turns, tilt_unknowns
 from sunspin.estimate.terms.torques import WORDS, ConstantTorque
 from sunspin.telemetry.assess import Assessment
+from sunspin.telemetry.gains import stated_sigmas
 from sunspin.vehicle import Vehicle, Wheel
 from sunspin.vehicle.response.panels import misalignment_sigma
 
@@ -198,13 +199,16 @@ def _panels_with_unknowns(vehicle: Vehicle, window: Window, sources: Sources) ->
         sigma_scale = sources.sigma("scale", None, assumed_scale)
     assumed_noise = NOISE_UNSTATED if vehicle.input_noise is None else NOISE_STATED
     sigma_noise = sources.sigma("noise", None, assumed_noise)
-    sigma_gain = sources.sigma("gain", None, 0.0)
+    sigma_gains = [
+        sources.sigma("gain", None if np.isnan(stated) else float(stated), 0.0)
+        for stated in stated_sigmas(vehicle)
+    ]
     unknowns = (
         Unknown("log_scale", "scale", "1", float(np.log(panels.brightness)), sigma_scale),
         Unknown("log_noise", "noise", "1", 0.0, sigma_noise),
         *(
-            Unknown(f"log_gain_{name}", "gain", "1", 0.0, sigma_gain, j)
-            for j, name in enumerate(vehicle.input_names)
+            Unknown(f"log_gain_{name}", "gain", "1", 0.0, sigma, j)
+            for j, (name, sigma) in enumerate(zip(vehicle.input_names, sigma_gains, strict=True))
         ),
     )
     own = (*(x for x in unknowns if x.sigma > 0), *_tilt_unknowns(vehicle, sources))

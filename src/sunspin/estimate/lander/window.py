@@ -222,12 +222,13 @@ def _likeliest_brightness(
     unit_power = panels.panel_power(vehicle, sphere(grid.directions))  # (directions, p)
     log_density = np.zeros(len(tried))
     for i, brightness in enumerate(tried):
-        # the noise, and the change of power from a direction to the nearest one that is tried
-        spread = np.hypot(sigma, BETWEEN_RAD * brightness * vehicle.input_gains)
+        # The noise, and for an input in the light the change of its power from a direction to the nearest one that is tried. If
+        # unlit ones had that too, each dark reading would favour a low brightness.
+        change = np.where(unit_power > 0, BETWEEN_RAD * brightness * vehicle.input_gains, 0.0)
+        spread = np.hypot(sigma, change)  # (directions, p)
         for k in samples:
-            off = (brightness * unit_power - power[k]) / spread
-            square = np.minimum(off**2, grid.cap) @ used[k]  # of each direction
-            log_density[i] += float(logsumexp(-0.5 * square)) - float(np.log(spread) @ used[k])
+            square = np.minimum(((brightness * unit_power - power[k]) / spread) ** 2, grid.cap)
+            log_density[i] += float(logsumexp(-(0.5 * square + np.log(spread)) @ used[k]))
     return float(tried[np.argmax(log_density)])
 
 
