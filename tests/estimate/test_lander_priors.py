@@ -20,7 +20,7 @@ from sunspin.estimate.observe import wheels_of_unknown_speed
 from sunspin.estimate.posterior import _nothing_drawn, posterior
 from sunspin.estimate.settings import POSTERIOR, WHEEL_SPEED
 from sunspin.telemetry.assess import assess
-from sunspin.vehicle import Fact, Friction, Vehicle, Wheel
+from sunspin.vehicle import Fact, Friction, Panel, TelemetryForm, Vehicle, Wheel
 from sunspin.vehicle.file import parse_vehicle
 from sunspin.vehicle.response.panels import misalignment_sigma
 from tests.support.landers import (
@@ -33,6 +33,7 @@ from tests.support.landers import (
     nominal,
 )
 from tests.support.passes import slope_of
+from tests.support.simulate import telemetry_of
 from tests.support.vehicles import small_cube
 from validation import posterior_cases
 
@@ -60,6 +61,22 @@ def test_brightness_is_estimated_if_no_sample_gives_a_direction_and_most_are_dar
     telemetry["current_A"].values[lit:] = 0.0
     guess = observe_window(assess(craft, telemetry)).obs.terms[0].brightness
     assert guess == pytest.approx(0.37, rel=0.12)
+
+
+def test_dark_samples_do_not_lower_the_brightness():
+    """Three panels, a third of the samples dark: each dark reading favoured a dim Sun, and the guess was 0.37 of the true one."""
+    panels = [
+        Panel(name, np.eye(3)[k], 2.3 if name == "z" else 7.0) for k, name in enumerate("xyz")
+    ]
+    inertia = 1e-5 * np.array([[4240, 44, 7], [44, 4050, 32], [7, 32, 902]])
+    form = TelemetryForm(quantity="power_W", noise=0.1)
+    craft = Vehicle("v", inertia_kg_m2=inertia, panels=panels, gain_unit="W", telemetry=form)
+    t_s = 20.0 * np.arange(40)
+    run = ss.propagate(craft, [-2e-3, 0.017, 0.0], [-0.068, -0.963, -0.262], [], t_s)
+    power = ss.panel_power(craft, run["sun_B"].values)
+    power += 0.1 * np.random.default_rng(0).standard_normal(power.shape)
+    telemetry = telemetry_of(craft, t_s, np.maximum(power, 0.0))
+    assert observe_window(assess(craft, telemetry)).obs.terms[0].brightness == 1.0
 
 
 def test_noise_on_dark_panels_does_not_change_the_brightness():

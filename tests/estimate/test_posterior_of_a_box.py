@@ -14,6 +14,7 @@ from sunspin.estimate.lander.periods import draws_by_periods
 from sunspin.estimate.lander.predict import best_motions, predict
 from sunspin.estimate.posterior import posterior
 from sunspin.output.kinds.posterior import posterior_summary, posterior_tables
+from sunspin.vehicle import Panel, TelemetryForm, Vehicle
 from tests.support.landers import (
     BOX_OMEGA,
     BOX_PRIORS,
@@ -25,6 +26,8 @@ from tests.support.landers import (
     sigmas_off,
 )
 from tests.support.schemas import schema, stored_schema
+from tests.support.simulate import telemetry_of
+from tests.support.vehicles import LOWER_CASE_FACES, units
 
 
 def of_box(telemetry=None, priors=BOX_PRIORS, **options) -> xr.DataTree:
@@ -77,6 +80,56 @@ def test_samples_that_motions_explain_are_named_and_decided_by_themselves():
     assert advice is not None, whole.attrs["verdict"]
     part = of_box(telemetry, begin_s=float(advice[1]), end_s=float(advice[2]))
     assert part.attrs["verdict_word"] == "unique" and sigmas_off(part, BOX_OMEGA)[0] < 3
+
+
+def wheelless_box(inertia: np.ndarray, noise_W: float, gain_W: float = 7.0) -> Vehicle:
+    """Return a box with six panels and without wheels; those across z have a third of the gain."""
+    faces = LOWER_CASE_FACES.items()
+    panels = [Panel(name, face, 2.3 if "z" in name else gain_W) for name, face in faces]
+    form = TelemetryForm(quantity="power_W", noise=noise_W)
+    return Vehicle("b", inertia_kg_m2=inertia, panels=panels, gain_unit="W", telemetry=form)
+
+
+def test_a_bad_reading_in_the_first_window_does_not_rule_out_the_true_motion():
+    """The brightest panel of one of its three samples is shaded; the search begins again elsewhere."""
+    craft, t_s = wheelless_box(np.diag([0.042, 0.04, 0.009]), 0.14), 30.0 * np.arange(14)
+    omega, sun = np.array([0.0066, 0.0689, 0.0531]), units(np.array([-0.688, 0.181, 0.702]))
+    power = ss.panel_power(craft, ss.propagate(craft, omega, sun, [], t_s)["sun_B"].values)
+    power += 0.14 * np.random.default_rng(0).standard_normal(power.shape)
+    power[1, power[1].argmax()] *= 0.3
+    telemetry = telemetry_of(craft, t_s, np.maximum(power, 0.0))
+    priors = {"max_rate_rad_s": 0.1745, "steady_torque": 0.0}
+    tree = posterior(craft, telemetry, priors, workers=1, settings=FEW)
+    assert tree.attrs["verdict_word"] == "unique" and sigmas_off(tree, omega)[0] < 3
+
+
+SLOW = """
+0 0 0.656 0.077 2.22 0.132 0.62
+48.284 0.032 0.918 0.045 1.996 0 0.449
+83.642 0.013 0.796 0 2.173 0.058 0.627
+110.832 0 1.102 0 2.083 0 0.532
+159.637 0.046 0.983 0 2.085 0.133 0.274
+193.79 0.027 1.055 0 1.997 0 0.32
+218.454 0 1.132 0 2.006 0 0.36
+243.471 0 1.086 0.023 1.851 0.028 0.224
+270.29 0.006 1.311 0 1.896 0 0.261
+324.963 0 1.289 0.036 1.959 0.09 0.164
+352.177 0.061 1.212 0.051 1.992 0.094 0.267
+382.31 0.103 1.451 0 1.852 0.042 0.115
+"""
+"""Times (s) and powers (W) of a 1U at 0.1 deg/s, simulated by a program that shares no code with the package, with 3 % noise."""
+
+
+@pytest.mark.long
+def test_a_slow_body_among_fast_motions_is_kept():
+    """A few samples hardly determine the rate about the Sun direction. Only 1.9 deg/s was found, and decided."""
+    craft = wheelless_box(np.diag([2.1e-3, 2.2e-3, 1.9e-3]), 0.069, gain_W=2.3)
+    read = np.array([row.split() for row in SLOW.strip().splitlines()], dtype=float)
+    telemetry = telemetry_of(craft, read[:, 0], read[:, 1:])
+    tree = posterior(craft, telemetry, {"max_rate_rad_s": 0.1047}, workers=1)
+    speeds = np.linalg.norm(tree["solutions"]["omega_B"].values, axis=1)
+    assert tree.attrs["verdict_word"] == "aliases"
+    assert tree["solutions"]["probability"].values[speeds < 0.004].sum() > 0.03
 
 
 def test_a_period_that_no_draw_has_decides_nothing(result):
