@@ -160,7 +160,7 @@ def test_readings_that_no_motion_explains_are_not_explained():
 def test_a_torque_that_the_file_lacks_is_found_and_named(monkeypatch, caplog):
     """It is constant in the body and turns it by four rad in two minutes; draws of the result bring its size.
 
-    The searches under torques are announced, and begin at the starts of the search without.
+    The searches under torques are announced, and begin at the starts of a search without, of which there are two: no motion fits.
     """
     inertia, acceleration = box().require_inertia(), 6e-4 * np.array([0.6, -0.5, 0.6])
     searched = []
@@ -172,7 +172,7 @@ def test_a_torque_that_the_file_lacks_is_found_and_named(monkeypatch, caplog):
     monkeypatch.setattr("sunspin.estimate.posterior.grid_starts", counted)
     monkeypatch.setattr(carrier, "LONG_S", 0.0)
     tree = of_box(box_telemetry(inertia @ acceleration), {"max_rate_rad_s": 0.1})
-    assert len(searched) == 1 and "searching under constant torques takes about" in caplog.text
+    assert len(searched) == 2 and "searching under constant torques takes about" in caplog.text
     models = json.loads(tree.attrs["hypotheses"])
     assert models["a steady torque in body axes"] > 0.9
     assert "an alternative model fits better: a steady torque in body axes" in tree.attrs["verdict"]

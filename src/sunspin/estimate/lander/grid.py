@@ -134,8 +134,9 @@ def _shortest_search(
     t_s, panels = model.obs.t_s, model.panels
     read = np.flatnonzero(panels.present())  # samples with any reading
     lit = np.flatnonzero(panels.lit.any(axis=1))
-    away = lit[(lit + 1 < besides.start) | (lit - 1 >= besides.stop)]
-    lit = away if len(away) else lit
+    if besides != NO_SAMPLES:
+        away = lit[(lit + 1 < besides.start) | (lit - 1 >= besides.stop)]
+        lit = away if len(away) else lit
     # The reference may be a lit sample at which all wheels still run and have lost little momentum. Some of these are tried.
     choices = [k for k in lit if _wheels_run(model, t_s[k], s)] or [lit[0]]
     slow = [k for k in choices if model.spun_up(t_s[k]) <= s.most_spun * model.max_rate]
