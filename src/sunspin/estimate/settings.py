@@ -702,6 +702,12 @@ class ShootingSettings:
     valley_each: int = 12
     """Most of these neighbours on either side."""
 
+    valley_motions: int = 50
+    """Most motions of a window that get so many neighbours, the best ones."""
+
+    valley_leading: float = 6.0
+    """Their log probability is less than this below that of the best."""
+
     again_from: float = 1.35
     """Growth of the window's end after which a motion gets further neighbours."""
 

@@ -149,8 +149,9 @@ def with_neighbours(
         step = s.neighbour_rad * along[rows] @ np.array(signs, dtype=np.float64) / to_rad
         moved = originals.take(rows)
         parts.append(_displaced(moved, step))
-    # farther along the loosest combination
-    in_valley = np.flatnonzero(free[:, 0]) if len(motions) <= s.few_starts else np.arange(0)
+    # farther along the loosest combination, from the best motions: where there are more, starts are dense
+    is_leading = motions.cost < np.min(motions.cost, initial=np.inf) + s.valley_leading
+    in_valley = np.flatnonzero((free[:, 0] & is_leading)[: s.valley_motions])
     for number in range(2, s.valley_each + 1):
         rows = in_valley[number * s.neighbour_rad < s.valley_sigmas * width[in_valley, 0]]
         for side in (1.0, -1.0):
