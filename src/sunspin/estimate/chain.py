@@ -638,7 +638,7 @@ def costs(obs: Observations, motions: Track) -> np.ndarray:
 
 
 class Chain:
-    """How a search fits, compares and propagates motions under the model of a search (:class:`search.Carrier`).
+    """How a search fits, compares and propagates motions under its model (:class:`search.Carrier`).
 
     Windows are slices of the n samples; motions of a window are given at its samples.
     """

@@ -214,10 +214,11 @@ def search_nominal(
     motions = search_under(carrier)
     if not carrier.explains_all and carrier.work <= settings.long_search:
         elsewhere = choose_reference(stated, settings.grid, given_rate, besides=reference.window)
-        again = Shooting(elsewhere.about(stated), elsewhere, settings, workers)
-        others = search_under(again)
-        if others.cost.min() < motions.cost.min():
-            carrier, motions = again, others
+        if elsewhere.sample != reference.sample:  # a short file has no others
+            again = Shooting(elsewhere.about(stated), elsewhere, settings, workers)
+            others = search_under(again)
+            if others.cost.min() < motions.cost.min():
+                carrier, motions = again, others
     fit = carrier.fit_all_samples(motions)
     return NominalSearch(assessment, window, carrier, motions, fit, prior_words)
 

@@ -4,7 +4,7 @@ Between two samples the body may make more whole revolutions, or rotate about an
 maxima. A search begins with two or three neighbouring samples, for which few starts suffice. These trial solutions are fitted,
 those that the readings rule out are dropped, and the window of samples grows at both ends. A rate that is known from a window
 predicts the phase one window further, so a trial solution stays near its maximum. If a window hardly determines a direction of the
-rate, further ones are placed along it (`Chain.widened`). `rates` repeats it from several pairs of samples.
+rate, further ones are placed along it (`Chain.widened`). `rates` repeats the search elsewhere.
 """
 
 from __future__ import annotations
